@@ -10,7 +10,7 @@ from functools import partial
 from nicegui import ui
 
 from hil.app.panel.drawings import Drawing
-from hil.app.panel.pieces import Latest, Reading, Table, draw_where
+from hil.app.panel.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
 from hil.app.panel.view import View
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
@@ -44,15 +44,17 @@ def draw(view: View) -> None:
         view.named(ui.label(view.t("probe.none")).classes("hil-note"), "probe.none")
         return
     at = ProbePage(view, view.probe)
-    view.how("probe.instructions", "probe.steps")
     messages = view.messages("probe.messages")
     kept: Kept = Reading(view, lambda: probe_record(at.config, at.store))
-    mode, settings = _draw_settings(at)
-    parts = [settings]
-    with ui.element("div").classes("hil-grid"):
-        parts += [draw_where(view, "probe", lambda: last_at(view.desks)), _draw_run_out(at), _draw_in_force(at, kept)]
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            parts = [_draw_run_out(at), draw_where(view, "probe", lambda: last_at(view.desks))]
+            mode, settings = _draw_settings(at)
+        with ui.element("div").classes("hil-main"):
+            parts += [settings, _draw_drawing(at)]
+            view.how("probe.instructions", "probe.steps")
     with ui.element("div").classes("hil-grid wide"):
-        parts += [_draw_contacts(at), _draw_drawing(at)]
+        parts += [_draw_contacts(at), _draw_in_force(at, kept)]
     parts += [draw_corrections(at, kept, mode), draw_history(view, kept)]
     seen: list[object] = []
 
@@ -73,9 +75,8 @@ def draw(view: View) -> None:
 
 # -- what it takes ---------------------------------------------------------------------------------------------------------
 def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
-    """Mode, start, state of the store, and the other axes that must be under this browser's control."""
-    view, t, sealed = at.view, at.view.t, at.config.store.sealed
-    names = ", ".join(axis.name for axis in at.config.axes.values())
+    """Mode, what is missing for a start, start, and the button that opens the store."""
+    view, t = at.view, at.view.t
     modes = {mode: t(f"probe.modes.{mode}") for mode in MODES}
 
     async def start() -> None:
@@ -83,25 +84,28 @@ def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
         if store is not None:
             await at.ask_and_run(probe.measuring_job(at.config, store, str(mode.value)))
 
-    with ui.row().classes("items-center hil-fields"):
-        machine = t("probe.machine", name=at.config.name, axes=names)
-        view.named(ui.label(machine).classes("hil-name"), "probe.machine")
-        mode = view.named(ui.select(modes, label=t("probe.mode"), value=at.config.probe.mode), "probe.mode")
+    with ui.element("div").classes("hil-buttons"):
+        select = ui.select(modes, label=t("probe.mode"), value=at.config.probe.mode).props("dense options-dense")
+        mode = view.named(select, "probe.mode")
+    missing = (
+        Check(
+            "other_axes",
+            lambda: not view.in_control or not at.not_controlled,
+            figures=lambda: {"axes": ", ".join(desk.name for desk in at.not_controlled)},
+        ),
+        Check("run_out_store", lambda: not view.in_control or writable(at.store)),
+    )
+    ready = draw_ready(view, "probe", *missing)
+    with ui.element("div").classes("hil-buttons"):
         start_button = view.button("probe.start", start).classes("hil-go")
-        state = view.named(ui.label().classes("hil-name"), "probe.store")
-        opening = view.button("probe.open", partial(_ask_passwords, at)).props("outline")
-    needs = view.named(ui.label().classes("hil-note"), "probe.needs")
-    opening.set_visibility(sealed)
+        opening = view.button("probe.open", partial(_ask_passwords, at))
+    opening.set_visibility(at.config.store.sealed)
 
     def refresh() -> None:
+        ready()
         store = at.store
         start_button.allow(at.why_not() or ("" if writable(store) else t("why.run_out_store")))
-        open_to = "not_opened" if store is None else "writable" if writable(store) else "readable"
-        state.set_text(t(f"probe.stores.{open_to if sealed else 'plain'}"))
         opening.allow("" if view.in_control else t("why.control"))
-        missing = ", ".join(desk.name for desk in at.not_controlled)
-        needs.set_text(t("probe.needs", axes=missing) if missing else "")
-        needs.set_visibility(bool(missing))
 
     return mode, refresh
 
@@ -118,14 +122,11 @@ async def _ask_passwords(at: ProbePage) -> None:
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------
 def _draw_contacts(at: ProbePage) -> Refresh:
-    """The contacts as they are measured, and the closure."""
+    """The contacts as they are measured."""
     view, t = at.view, at.view.t
     with view.card("probe.contacts", name="probe.contacts.card"):
         heads = [f"probe.head.{name}" for name in ("turn", "angle", "feed", "pulses")]
         table = Table(view, "probe.contacts", heads, words=0)
-        closure = view.value("probe.closure", "µm", small=True)
-        limit = t("probe.limit", limit=t.number(at.config.block.closure_limit_um, 1))
-        view.named(ui.label(limit).classes("hil-name"), "probe.limit")
     shown: list[object] = [None]
 
     def refresh() -> None:
@@ -136,22 +137,22 @@ def _draw_contacts(at: ProbePage) -> Refresh:
                 [str(one.turn), f"{one.angle_deg}°", t.number(one.feed_mm, 4), t.number(one.pulses, 0)] for one in found
             ]
             table.show(rows)
-        measured = measured_at(view.desks)
-        worst_um = None if measured is None else worst_closure_um(measured.measurement)
-        closure.set_text(t.number(worst_um, 2, sign=True))
 
     return refresh
 
 
 def _draw_run_out(at: ProbePage) -> Refresh:
-    """The result of the last measurement."""
+    """The result of the last measurement: whether it is in force, the figures, and the closure that decides it."""
     view, t = at.view, at.view.t
     with view.card("probe.run_out"):
         size = view.value("probe.size", "µm")
         with ui.element("div").classes("hil-lines"):
+            verdict = view.value("probe.verdict", small=True)
             fill = draw_values(view, "probe")
             std = view.value("probe.std", "µm", small=True)
-            verdict = view.value("probe.verdict", small=True)
+            closure = view.value("probe.closure", "µm", small=True)
+        limit = t("probe.limit", limit=t.number(at.config.block.closure_limit_um, 1))
+        view.named(ui.label(limit).classes("hil-name"), "probe.limit")
 
     def refresh() -> None:
         measured = measured_at(view.desks)
@@ -160,6 +161,7 @@ def _draw_run_out(at: ProbePage) -> Refresh:
         fill(found)
         known_um = None if measured is None else std_um(at.config, measured.measurement)
         std.set_text("–" if known_um is None else t.number(known_um, 2))
+        closure.set_text(t.number(None if measured is None else worst_closure_um(measured.measurement), 2, sign=True))
         said = "refused" if measured is not None and measured.refusal is not None else "stored"
         verdict.set_text("–" if measured is None else t(f"probe.verdicts.{said}"))
 
@@ -204,14 +206,22 @@ def _draw_drawing(at: ProbePage) -> Refresh:
 
 # -- in force --------------------------------------------------------------------------------------------------------------
 def _draw_in_force(at: ProbePage, kept: Kept) -> Refresh:
-    """The run-out in force, and since when."""
-    view, t = at.view, at.view.t
-    with view.card("probe.in_force"), ui.element("div").classes("hil-lines"):
-        since = view.value("probe.since", small=True)
-        fill = draw_values(view, "probe.in_force")
+    """The run-out in force, and since when; the machine, and the state of the store."""
+    view, t, sealed = at.view, at.view.t, at.config.store.sealed
+    names = ", ".join(axis.name for axis in at.config.axes.values())
+    with view.card("probe.in_force"):
+        with ui.element("div").classes("hil-lines"):
+            since = view.value("probe.since", small=True)
+            fill = draw_values(view, "probe.in_force")
+        machine = t("probe.machine", name=at.config.name, axes=names)
+        view.named(ui.label(machine).classes("hil-name"), "probe.machine")
+        state = view.named(ui.label().classes("hil-name"), "probe.store")
     latest = Latest()
 
     def refresh() -> None:
+        store = at.store
+        open_to = "not_opened" if store is None else "writable" if writable(store) else "readable"
+        state.set_text(t(f"probe.stores.{open_to if sealed else 'plain'}"))
         if kept.value is None or not latest.is_new(kept.value):
             return
         fill(kept.value.in_force)

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from support import panel
 from support.panel import Person
-from support.screenshots import DEFECTS, OUT_OF_SIGHT, PALE, foreign_fonts
+from support.screenshots import DEFECTS, OUT_OF_SIGHT, PALE, at_rest, foreign_fonts, settled
 from support.two_axes import lay_out_axes
 
 pytestmark = [
@@ -47,6 +47,16 @@ ESSENTIAL = {
         "lost_motion.start",
         "lost_motion.store",
     ),
+    "probe": (
+        "probe.size",
+        "probe.verdict",
+        "probe.closure",
+        "probe.step",
+        "probe.mode",
+        "probe.start",
+        "probe.drawing",
+    ),
+    "reports": ("reports.report", "reports.compare", "reports.make_history", "reports.status", "reports.campaigns"),
     "diagnosis": (
         "diagnosis.campaign",
         "diagnosis.start",
@@ -108,7 +118,7 @@ def test_nothing_overlaps_is_cut_or_leaves_its_card(person: Person, size: tuple[
     for page in PAGES:
         person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
         person.waits(lambda: person.reads("header.state") != "", "the state is shown")
-        person.waits(lambda: not person.finds("no-data").is_displayed(), "a busy machine's server answers")
+        at_rest(person)
         person.driver.execute_script(
             "for (const one of document.querySelectorAll('.hil-value')) if (one.textContent === '–') one.textContent = arguments[0]",
             WIDEST,
@@ -116,10 +126,10 @@ def test_nothing_overlaps_is_cut_or_leaves_its_card(person: Person, size: tuple[
         for tab in TABS.get(page, ("",)):
             if tab:
                 person.turns_to(f"{page}.tab.{tab}")
-            wrong += [f"{page}: {one}" for one in person.driver.execute_script(DEFECTS)]
+            wrong += [f"{page}: {one}" for one in settled(person, DEFECTS)]
             wanted = ESSENTIAL.get(f"{page}.{tab}", ESSENTIAL.get(page, ()))
             person.driver.execute_script("window.scrollTo(0, 0)")
-            out = person.driver.execute_script(OUT_OF_SIGHT, [*BAR, *wanted])
+            out = settled(person, OUT_OF_SIGHT, [*BAR, *wanted])
             wrong += [f"{page}: {name} is out of sight" for name in out]
     assert not wrong, "\n".join(wrong)
 
@@ -129,7 +139,7 @@ def test_what_overlaps_is_cut_or_hidden_is_noticed(person: Person) -> None:
     sized(person, SIZES[0])
     person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/backlash")
     person.waits(lambda: person.reads("header.state") != "", "the state is shown")
-    assert not person.driver.execute_script(DEFECTS)
+    assert not settled(person, DEFECTS)
     spoil = "document.querySelector(`[data-name='${arguments[0]}']`).style.cssText = arguments[1]"
     person.driver.execute_script(
         spoil, "backlash.mean", "position: relative; display: inline-block; top: -30px; left: 20px"
@@ -185,10 +195,7 @@ def test_every_text_is_legible(person: Person, request: pytest.FixtureRequest, g
     for page in PAGES:
         person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
         person.waits(lambda: person.reads("header.state") != "", "the state is shown")
-        for _ in range(20):  # what has just come may still fade in
-            if not (pale := person.driver.execute_script(PALE)):
-                break
-        wrong += [f"{page}: {one}" for one in pale]
+        wrong += [f"{page}: {one}" for one in settled(person, PALE)]
     person.driver.execute_script("document.querySelector(`[data-name='header.state']`).style.opacity = 0.3")
     assert any(one.startswith("header.state") for one in person.driver.execute_script(PALE))  # it notices
     assert not wrong, "\n".join(wrong)

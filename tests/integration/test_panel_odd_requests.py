@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import re
 import signal
 import urllib.error
@@ -60,15 +61,10 @@ def test_a_malformed_frame_leaves_no_traceback(tmp_path: Path) -> None:
             for frames in FRAMES:
                 async with websockets.connect(where, origin=f"http://{host}") as socket:  # type: ignore[arg-type]
                     await socket.recv()
-                    for frame in frames:
-                        await socket.send(frame)
-                    await socket.send("2")  # answered, or closed, once those before are read
-                    try:
-                        async with asyncio.timeout(2.0):
-                            while True:
-                                await socket.recv()
-                    except (TimeoutError, websockets.ConnectionClosed):
-                        pass
+                    with contextlib.suppress(websockets.ConnectionClosed):
+                        for frame in frames:
+                            await socket.send(frame)
+                # closed, which the server answers once it has read the frames before
 
         asyncio.run(send())
         assert read(f"{address}axis/X/overview")[0] == 200

@@ -104,6 +104,9 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         assert any(".params.toml will be written" in line for line in person.agrees())
         person.waits(lambda: f"{COUNT} parameters backed up" in person.reads("parameters.backed_up"), "backed up")
         (backup,) = tmp_path.glob("X-*.params.toml")
+        person.waits(
+            lambda: person.reads("parameters.file").startswith("Backup of 20"), "the backup is chosen, by its date"
+        )
 
         new = tmp_path / "elsewhere" / "new.toml"
         new.parent.mkdir()

@@ -24,7 +24,7 @@ TRUTH = known_probe(
     SEED, face_mm=105.0, face_y_mm=40.0, facing=1, tip_radius_mm=2.0, bore_mm=(50.0, 60.0), bore_radius_mm=8.0
 )
 ELEMENTS = {
-    *(f"probe.{name}" for name in ("instructions", "messages", "machine", "mode", "store", "open", "needs", "start")),
+    *(f"probe.{name}" for name in ("instructions", "messages", "machine", "mode", "store", "open", "ready", "start")),
     *(f"probe.{name}" for name in ("position", "remaining", "step", "contacts", "closure", "limit", "drawing")),
     *(f"probe.{name}" for name in ("size", "x", "y", "angle", "radius", "std", "verdict")),
     *(f"probe.in_force.{name}" for name in ("x", "y", "angle", "radius")),
@@ -38,9 +38,7 @@ def comes_to_the_probe(person: Person, address: str) -> None:
     """In control of both axes that the server has of the machine's three; on the page of X."""
     person.goes_to(f"{address}axis/Y/probe")
     person.clicks("control.take")
-    person.waits_to_read(
-        "probe.needs", "Axes of the machine that this browser does not control: X. Take control of them first."
-    )
+    person.waits_to_read("probe.ready.other_axes", "Take control of X too")
     assert not person.finds("probe.start").is_enabled()
     person.goes_to(f"{address}axis/X/probe")
     person.waits(lambda: person.names() >= ELEMENTS, "every element is there")

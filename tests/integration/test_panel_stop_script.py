@@ -102,7 +102,12 @@ def person() -> Iterator[Person]:
 @pytest.fixture
 def machine(person: Person) -> Iterator[Machine]:
     with serving() as one:
-        person.goes_to(one.address)
+
+        def comes() -> bool:
+            person.goes_to(one.address)
+            return bool(person.driver.execute_script("return typeof hilBeat === 'function'"))
+
+        person.waits(comes, "the page and its script are there")  # a busy host may drop the request for the script
         yield one
         person.goes_to("about:blank")
 

@@ -64,8 +64,8 @@ QUICK_PROBE = {
     "probe": "touch_mm_s = 20.0\nposition_mm_s = 50.0",
     "more": "[bench]\nseed = 4\n",
 }
-RUNNING_PACE = "3"
-"""So slow that a job runs while its picture is taken."""
+RUNNING_PACE, PROBE_PACE = "3", "0.3"
+"""So slow that a job runs while its picture is taken; contacts of a probe are quick."""
 Picture = Callable[[Person, str, str], None]
 
 
@@ -246,8 +246,8 @@ def main() -> None:
         metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         person.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
         for state in how.state or STATES:
-            pace = RUNNING_PACE if state == "running" else "0"
             for of_probe in (False, True):
+                pace = "0" if state != "running" else PROBE_PACE if of_probe else RUNNING_PACE
                 some = [page for page in pages if (page == "probe") is of_probe]
                 with tempfile.TemporaryDirectory() as directory:
                     served = lay_out_probe(Path(directory)) if of_probe else lay_out_axes(Path(directory))

@@ -52,12 +52,19 @@ def served(*arguments: str | Path) -> Iterator[tuple[str, subprocess.Popen[str]]
 
 WATCH = """
     window.hilFirstGone = {};
+    window.hilLateMs = 0;
+    const late = (since, every) => { window.hilLateMs = Math.max(window.hilLateMs, performance.now() - since - every); };
+    let ticked = performance.now(), heard = performance.now();
+    setInterval(() => { late(ticked, 20); ticked = performance.now(); }, 20);
+    const beat = hilBeat;
+    hilBeat = (...all) => { late(heard, 100); heard = performance.now(); beat(...all); };
     new MutationObserver((changes) => {
         for (const {target: one} of changes)
             if (one.dataset.live && one.classList.contains('hil-stale')) window.hilFirstGone[one.dataset.name] ??= Date.now();
     }).observe(document.body, {subtree: true, attributeFilter: ['class']});
 """
-"""Script that notes when each card was first marked as not live, by name, in `window.hilFirstGone`, ms."""
+"""Script that notes when each card was first marked as not live, by name, in `window.hilFirstGone`, ms; and in `window.hilLateMs` how
+late the page's own timer, or a message of the server, came at worst: what a busy host adds, ms."""
 
 
 class Person:

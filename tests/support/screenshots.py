@@ -55,7 +55,7 @@ DEFECTS = """
         const larger = one.scrollWidth > one.clientWidth + 1 || one.scrollHeight > one.clientHeight + 3;
         const cut = larger && getComputedStyle(one).overflow !== 'visible';
         if (cut && !one.matches(may_be_cut)) found.push(`${named(one)} is cut: ${one.textContent}`);
-        const card = one.closest('.hil-card, .q-btn, .hil-bar, .hil-rail');
+        const card = one.closest('.hil-card, .q-btn, .hil-bar, .hil-rail a');
         const edge = card?.getBoundingClientRect();
         if (edge && (box.right > edge.right + 1 || box.left < edge.left - 1 || box.bottom > edge.bottom + 2))
             found.push(`${named(one)} leaves its card: ${one.textContent}`);
@@ -68,6 +68,8 @@ DEFECTS = """
                 found.push(`${named(one)} and ${named(texts[j])} overlap: ${one.textContent} | ${texts[j].textContent}`);
         }
     }
+    for (const one of document.querySelectorAll('.q-field__label, .q-field__native .ellipsis'))
+        if (shown(one) && one.scrollWidth > one.clientWidth + 1) found.push(`${named(one)} is cut: ${one.textContent}`);
     const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
     if (wide > 0) found.push(`the page is ${wide} px wider than the window`);
     return found;
@@ -126,8 +128,50 @@ PALE = """
 """Script: texts whose contrast with what is behind them is below 4.5 (WCAG 2.1, relative luminance)."""
 
 
+def at_rest(person: Person) -> None:
+    """Wait until the page is drawn: its fonts are there, nothing fades in, and the server is heard."""
+    script = """
+        const still = document.getAnimations().every((one) => one.effect.getComputedTiming().iterations === Infinity);
+        const heard = document.querySelector("[data-name='no-data']")?.hidden !== false;
+        return document.fonts.status === 'loaded' && still && heard && window.did_handshake;
+    """
+    person.waits(lambda: person.driver.execute_script(script), "the page is drawn")
+
+
+def settled(person: Person, script: str, *arguments: object) -> list[Any]:
+    """What a script finds wrong once the page is drawn. On a busy machine the page may lose its server for a moment while it is looked
+    at, or draw what has just come: what is wrong at one look only is looked at again."""
+    found: list[list[Any]] = []
+
+    def looks() -> bool:
+        at_rest(person)
+        found.append(person.driver.execute_script(script, *arguments))
+        return not found[-1] or found[-SAME:].count(found[-1]) == SAME
+
+    person.waits(looks, "it looks the same several times")
+    return found[-1]
+
+
+SAME = 5
+"""Number of looks in a row, 50 ms apart or more, that have to find the same before it counts as a defect."""
+
+
 def complaints(person: Person, wanted: Iterable[str]) -> list[str]:
-    """Defects of these elements on the page as it is drawn; the window is made as high as the page first."""
+    """Defects of these elements on the page as it is drawn, which `SAME` pictures in a row show; none as soon as one shows none."""
+    found: list[list[str]] = []
+
+    def looks() -> bool:
+        at_rest(person)
+        found.append(_complaints(person, tuple(wanted)))
+        return not found[-1] or found[-SAME:].count(found[-1]) == SAME
+
+    wanted = tuple(wanted)
+    person.waits(looks, "it looks the same several times")
+    return found[-1]
+
+
+def _complaints(person: Person, wanted: Iterable[str]) -> list[str]:
+    """Defects in one picture; the window is made as high as the page first."""
     picture, (places, too_wide) = _picture(person)
     found = [f"the page is {too_wide} pixels wider than the window"] if too_wide > 0 else []
     for name in wanted:

@@ -9,7 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from hil.app.panel.pieces import Latest
-from hil.app.panel.plots import PALETTES, chart_options, inks, nothing_drawn, number_format
+from hil.app.panel.plots import FONT, PALETTES, chart_options, inks, nothing_drawn, number_format, pointed_at
 from hil.app.panel.view import View
 from hil.lost_motion.page_data import CircleCurves
 
@@ -68,7 +68,7 @@ def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
         **base,
         "grid": {**base["grid"], "top": 64},
         "legend": _legend(inks(view)[0]),
-        "tooltip": {"trigger": "item"},
+        "tooltip": pointed_at(view, "item"),
         "series": [_series(curve, view) for curve in drawn],
     }
 
@@ -126,6 +126,7 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
     ]
     return {
         "animation": False,
+        "textStyle": {"fontFamily": FONT},
         "legend": _legend(ink),
         "polar": {"center": ["50%", "54%"], "radius": "78%"},
         "angleAxis": angle_axis(ink, grid),

@@ -11,6 +11,8 @@ import hmac
 import logging
 import secrets
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
+from dataclasses import dataclass
+from html import escape
 from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
@@ -36,19 +38,47 @@ _FOREIGN = ("cross-site", "same-site")
 """Values of Sec-Fetch-Site for a request by a page of another site, or of another server on the same machine."""
 
 
-class Guard:
-    """The layer. hosts: allowed host names, without port; access_token: None on loopback; form: HTML page that asks for the token."""
+@dataclass(frozen=True)
+class Form:
+    """What a browser without the token is shown. page: HTML that asks for it; wrong: said of a wrong one; wait: said while none is
+    looked at, with {seconds}."""
 
-    def __init__(self, app: App, hosts: Iterable[str], access_token: str | None, form: str, *, secure: bool) -> None:
+    page: str
+    wrong: str = ""
+    wait: str = "{seconds}"
+
+    def after_wrong(self) -> str:
+        """The page after a wrong token."""
+        return f'{self.page}<p role="alert">{escape(self.wrong)}</p>'
+
+    def waiting(self, seconds: int) -> str:
+        """The page while no token is looked at."""
+        return f'{self.page}<p role="alert">{escape(self.wait.format(seconds=seconds))}</p>'
+
+
+class Guard:
+    """The layer. hosts: allowed host names, without port; proxied: further ones, of a proxy on this computer, whose pages may come by
+    TLS though this server has none; access_token: None on loopback; form: what asks for the token."""
+
+    def __init__(
+        self,
+        app: App,
+        hosts: Iterable[str],
+        access_token: str | None,
+        form: Form,
+        *,
+        secure: bool,
+        proxied: Iterable[str] = (),
+    ) -> None:
         self.app = app
-        self._hosts = frozenset(host.lower() for host in hosts)
+        self._proxied = frozenset(host.lower() for host in proxied)
+        self._hosts = frozenset(host.lower() for host in hosts) | self._proxied
         self._token = access_token
         self._cookies = Cookies()
         self._backoff = BackOff()
         self._admission = secrets.token_urlsafe(32)  # value of the cookie of an admitted browser
         self._form = form
         self._scheme = "https" if secure else "http"
-        self._cookie_flags = "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] not in ("http", "websocket"):
@@ -67,7 +97,7 @@ class Guard:
         elif not self._from_our_page(scope, headers):
             await _refuse(scope, send, 403, "not from a page of this server")
         elif not self._admitted(headers):
-            await self._ask(scope, receive, send)
+            await self._ask(scope, headers, receive, send)
         else:
             await self._pass_on(scope, headers, receive, send)
 
@@ -82,7 +112,15 @@ class Guard:
         origin = headers.get("origin")
         if origin is None:
             return scope["type"] == "http" and scope["method"] in ("GET", "HEAD")
-        return origin.lower() == f"{self._scheme}://{headers.get('host', '').lower()}"
+        scheme, _, host = origin.lower().partition("://")
+        by_tls = scheme == "https" and _host_name(headers.get("host", "")) in self._proxied
+        return (scheme == self._scheme or by_tls) and host == headers.get("host", "").lower()
+
+    def _flags(self, headers: dict[str, str]) -> str:
+        """Flags of a cookie: for TLS alone where the request came by it, to this server or to its proxy."""
+        told = headers.get("origin", "").startswith("https:") or headers.get("x-forwarded-proto", "") == "https"
+        by_tls = self._scheme == "https" or (told and _host_name(headers.get("host", "")) in self._proxied)
+        return "; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if by_tls else "")
 
     def _admitted(self, headers: dict[str, str]) -> bool:
         if self._token is None:
@@ -90,7 +128,7 @@ class Guard:
         given = cookies(headers).get(ACCESS, "")
         return hmac.compare_digest(given.encode(), self._admission.encode())
 
-    async def _ask(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _ask(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
         if scope["type"] == "websocket":
             await _refuse(scope, send, 401, "")
             return
@@ -98,16 +136,19 @@ class Guard:
             address = str((scope.get("client") or ("unknown",))[0])
             wait_s = self._backoff.wait_s(address)
             if wait_s > 0.0:
-                await _answer(send, 429, self._form, [*_HTML, ("retry-after", str(int(wait_s) + 1))])
+                seconds = int(wait_s) + 1
+                await _answer(send, 429, self._form.waiting(seconds), [*_HTML, ("retry-after", str(seconds))])
                 return
             given = parse_qs((await _body(receive)).decode("utf-8", "replace")).get("token", [""])[0]
             if self._token is not None and hmac.compare_digest(given.encode(), self._token.encode()):
                 self._backoff.right(address)
-                cookie = f"{ACCESS}={self._admission}{self._cookie_flags}"
+                cookie = f"{ACCESS}={self._admission}{self._flags(headers)}"
                 await _answer(send, 303, "", [("location", "/"), ("set-cookie", cookie)])
                 return
             _LOG.warning("wrong access token from %s, %d in a row", address, self._backoff.wrong(address))
-        await _answer(send, 401, self._form, _HTML)
+            await _answer(send, 401, self._form.after_wrong(), _HTML)
+            return
+        await _answer(send, 401, self._form.page, _HTML)
 
     async def _pass_on(self, scope: Scope, headers: dict[str, str], receive: Receive, send: Send) -> None:
         """Pass the request on. A browser without a cookie of this server's own gets one.
@@ -132,7 +173,7 @@ class Guard:
         numbered = {**scope, "headers": [*others, (b"cookie", pair.encode("latin-1"))]}
 
         async def with_cookie(message: Message) -> None:
-            flags = f"{COOKIE}={cookie}{self._cookie_flags}"
+            flags = f"{COOKIE}={cookie}{self._flags(headers)}"
             await send(_with_headers(message, (b"set-cookie", flags.encode("latin-1"))))
 
         await self.app(numbered, receive, send if headers.get("sec-fetch-site") in _FOREIGN else with_cookie)

@@ -103,12 +103,14 @@ class Steps:
 
 @dataclass(frozen=True)
 class Check:
-    """A condition of a start. key: of what is missing, "ready.<key>"; fix: key of the button that puts it right, and what it does."""
+    """A condition of a start. key: of what is missing, "ready.<key>"; fix: key of the button that puts it right, and what it does;
+    figures: of places in that text, which are filled anew at each look."""
 
     key: str
     met: Callable[[], bool]
     fix: tuple[str, Callable[[], object]] | None = None
     done_by_itself: bool = False
+    figures: Callable[[], dict[str, str]] = dict
 
 
 def draw_ready(view: View, page: str, *more: Check, builder: bool = False) -> Callable[[], None]:
@@ -137,20 +139,22 @@ def draw_ready(view: View, page: str, *more: Check, builder: bool = False) -> Ca
         job = view.desk.job()
         box.set_visibility(job is None or not job.running)
         missing = {check.key for check, _ in rows if not check.met()}
-        for check, row in rows:
+        for check, (row, text) in rows:
             row.set_visibility(check.key in missing)
+            text.set_text(view.t(f"ready.{check.key}", **check.figures()))
         all_met.set_visibility(not missing)
 
     return refresh
 
 
-def _draw_check(view: View, page: str, check: Check) -> Element:
+def _draw_check(view: View, page: str, check: Check) -> tuple[Element, ui.label]:
+    """Its row, and the text in it."""
     with ui.element("li").classes("itself" if check.done_by_itself else "missing") as row:
-        view.named(ui.label(view.t(f"ready.{check.key}")).classes("hil-wide"), f"{page}.ready.{check.key}")
+        text = view.named(ui.label().classes("hil-wide"), f"{page}.ready.{check.key}")
         if check.fix is not None:
             key, action = check.fix
             view.button(key, action, name=key if key.startswith(f"{page}.") else f"{page}.fix.{check.key}")
-    return row
+    return row, text
 
 
 def measured_checks(view: View) -> tuple[Check, ...]:

@@ -19,6 +19,8 @@ PALETTES = {
 }
 """Colours after Okabe and Ito, distinguishable with colour-blindness; contrast on the dark and the light panel 4.5 or more."""
 _DIGITS = 7
+_READ_DIGITS = 4
+"""Digits after the point of a figure at the pointer: a tenth of a micrometre in mm."""
 FONT = "Roboto, 'Hil Signs', 'Noto Sans CJK SC', 'Noto Sans SC', 'Microsoft YaHei', 'PingFang SC', sans-serif"
 """As in the style sheet."""
 
@@ -201,7 +203,7 @@ def live_options(view: View, channels: Sequence[Channel]) -> dict[str, Any]:
         "xAxis": x_axes,
         "yAxis": y_axes,
         "series": series,
-        "tooltip": {"trigger": "axis"},
+        "tooltip": base["tooltip"],
         "axisPointer": {"link": [{"xAxisIndex": "all"}]},
         "dataZoom": [{"type": "inside", "xAxisIndex": list(range(count))}],
     }
@@ -218,6 +220,8 @@ def _heading(view: View, one: Channel) -> str:
     return t("plot.limits", name=name, low=t.significant(low), high=t.significant(high))
 
 
+RAISED = {True: "#2b2f33", False: "#f4f5f5"}
+"""Ground of the figures at the pointer, as of what is selected in the style sheet."""
 LIMIT = {True: "#ff7c76", False: "#a81318"}
 """Colour of limit lines on the dark and on the light panel."""
 
@@ -281,12 +285,14 @@ def _short_or_none(value: float | None) -> float | None:
 def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]:
     """ECharts options of a chart without curves, in the browser's colours. x, y: axis titles."""
     ink, grid = inks(view)
+    read = number_format(view, _READ_DIGITS)
     axis = {
         "type": "value",
         "scale": True,
         "nameLocation": "middle",
         "nameTextStyle": {"color": ink, "fontSize": 16},
         "axisLabel": {"color": ink, "fontSize": 14, ":formatter": number_format(view)},
+        "axisPointer": {"label": {":formatter": f"at => ({read})(at.value)"}},
         "splitLine": {"lineStyle": {"color": grid}},
     }
     return {
@@ -295,7 +301,7 @@ def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]
         "textStyle": {"fontFamily": FONT},
         "grid": {"left": 80, "right": 20, "top": 40 if legend else 20, "bottom": 50},
         "legend": {"type": "scroll", "show": legend, "top": 0, "textStyle": {"color": ink, "fontSize": 14}},
-        "tooltip": {"trigger": "axis"},
+        "tooltip": pointed_at(view, "axis"),
         "xAxis": {**axis, "name": x, "nameGap": 30},
         "yAxis": {**axis, "name": y, "nameGap": 60},
         "series": [],
@@ -309,10 +315,30 @@ def nothing_drawn(view: View, key: str) -> dict[str, Any]:
     return {"text": view.t(key), "left": "center", "top": "middle", "textStyle": look}
 
 
-def number_format(view: View) -> str:
-    """A function in JavaScript that writes a number of an axis as the page's language does."""
-    how = "{useGrouping: false, maximumFractionDigits: 6}"
-    return f"value => new Intl.NumberFormat('{view.t.language}', {how}).format(value).replace('-', '−')"
+def pointed_at(view: View, trigger: str) -> dict[str, Any]:
+    """The figures at the pointer, in the page's numbers, colours and font.
+
+    trigger: "axis" for all curves at a place, "item" for a point
+    """
+    ink, grid = inks(view)
+    return {
+        "trigger": trigger,
+        "className": "hil-pointed",
+        "backgroundColor": RAISED[view.browser.dark],
+        "borderColor": grid,
+        "textStyle": {"color": ink, "fontSize": 14, "fontFamily": FONT},
+        ":valueFormatter": f"value => [value].flat().map({number_format(view, _READ_DIGITS)}).join('; ')",
+    }
+
+
+def number_format(view: View, digits: int = 6) -> str:
+    """A function in JavaScript that writes a number as the page's language does, a dash for none.
+
+    digits: most of them after the point
+    """
+    how = f"{{useGrouping: false, maximumFractionDigits: {digits}}}"
+    written = f"new Intl.NumberFormat('{view.t.language}', {how}).format(value).replace('-', '−')"
+    return f"value => (value ?? null) === null ? '–' : {written}"
 
 
 def inks(view: View) -> tuple[str, str]:

@@ -23,7 +23,7 @@ from hil.app.desk.desk import Desk
 from hil.app.panel.browsers import COOKIE, Browsers
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
-from hil.app.panel.guard import LOGIN, App, Guard
+from hil.app.panel.guard import LOGIN, App, Form, Guard
 from hil.app.panel.pages import PAGES
 from hil.app.panel.report_files import serve_reports
 from hil.app.panel.texts import Texts
@@ -121,9 +121,10 @@ def bound(access: Access) -> socket.socket:
 def guarded(app: FastAPI, access: Access, language: str) -> App:
     """The application behind its guard."""
     t = Texts(language)
-    form = _FORM.format(action=LOGIN, label=escape(t("access.token")), button=escape(t("go.screen")))
-    hosts = [*LOOPBACK, access.bind, *access.names]
-    return Guard(app, hosts, access.token, form, secure=access.tls is not None)
+    page = _FORM.format(action=LOGIN, label=escape(t("access.token")), button=escape(t("go.screen")))
+    form = Form(page, t("access.wrong"), t("access.wait"))
+    hosts = [*LOOPBACK, access.bind]
+    return Guard(app, hosts, access.token, form, secure=access.tls is not None, proxied=access.names)
 
 
 def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig | None = None) -> FastAPI:

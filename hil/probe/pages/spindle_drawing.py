@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.app.panel.drawings import Options, angle_axis
-from hil.app.panel.plots import PALETTES, inks
+from hil.app.panel.plots import FONT, PALETTES, inks, number_format
 from hil.app.panel.view import View
 from hil.probe.page_data import BallPositions
 
@@ -55,9 +55,10 @@ def around_the_spindle(view: View, shown: BallPositions, names: Mapping[str, str
         "itemStyle": {"color": PALETTES[view.browser.dark][5]},
     }
     series: list[dict[str, Any]] = [{**one, "coordinateSystem": "polar"} for one in (circle, arrow, contacts)]
-    label = "value => String(Number(value.toPrecision(3)))"
+    label = f"value => ({number_format(view)})(Number(value.toPrecision(3)))"
     return {
         "animation": False,
+        "textStyle": {"fontFamily": FONT},
         "legend": {"show": True, "top": 0, "left": 0, "textStyle": {"color": ink, "fontSize": 14}, "itemGap": 16},
         "polar": {"center": ["50%", "54%"], "radius": "76%"},
         "angleAxis": angle_axis(ink, grid),

@@ -140,7 +140,8 @@ def _draw_plots(view: View) -> Refresh:
             names = {one.key: t(one.key) for one in channels}
             choice = ui.select(names, value=usual, multiple=True, on_change=lambda event: chart.choose(event.value))
             view.named(
-                choice.props("dense options-dense").style("min-width: 12rem; max-width: 26rem"), "overview.channels"
+                choice.props("dense options-dense").style("min-width: 12rem; max-width: calc(100% - 9rem)"),
+                "overview.channels",
             )
             pause = view.button("overview.pause", partial(_hold, view, held))
         chart = LiveChart(view, "plot.overview", channels)

@@ -30,9 +30,11 @@ def draw(view: View) -> None:
         view.named(ui.label(view.t("reports.no_instrument")).classes("hil-note"), "reports.no_instrument")
         return
     kept: Kept = Reading(view, lambda: reports_screen(axis.store.directory, axis.name))
+    above = ui.element("div").classes("w-full")  # a long list leaves the buttons in the window
     with view.card("reports.campaigns", name="reports.campaigns.card").classes("w-full"):
         table = _table(view)
-    parts = [_draw_buttons(view, kept, table), _fill(view, kept, table)]
+    with above:
+        parts = [_draw_buttons(view, kept, table), _fill(view, kept, table)]
     with ui.element("div").classes("hil-grid wide"):
         parts += [_draw_files(view, kept), _draw_history(view, kept)]
 
@@ -55,9 +57,9 @@ def _table(view: View) -> ui.table:
         }
         for name in COLUMNS
     ]
-    table = ui.table(columns=heads, rows=[], row_key="key", selection="multiple", pagination=10).classes("hil-table")
+    table = ui.table(columns=heads, rows=[], row_key="key", selection="multiple", pagination=5).classes("hil-table")
     table.props(
-        f'flat wrap-cells rows-per-page-label="{view.t("reports.per_page")}" no-data-label="{view.t("reports.nothing")}"'
+        f'flat dense wrap-cells rows-per-page-label="{view.t("reports.per_page")}" no-data-label="{view.t("reports.nothing")}"'
     )
     table.props(":pagination-label=\"(first, last, all) => first + '–' + last + ' / ' + all\"")
     table.props(":selected-rows-label=\"() => ''\"")

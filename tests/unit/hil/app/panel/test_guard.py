@@ -7,10 +7,11 @@ from typing import Any
 import pytest
 
 from hil.app.panel.browsers import COOKIE
-from hil.app.panel.guard import ACCESS, LOGIN, LONGEST_BODY, Guard
+from hil.app.panel.guard import ACCESS, LOGIN, LONGEST_BODY, Form, Guard
 
 Answer = tuple[int, dict[str, str], bytes]
 TOKEN = "an-access-token"
+FORM = Form("<form>", "not <it>", "in {seconds} s")
 OURS = "https://127.0.0.1:8080"  # where there is a token there is TLS
 
 
@@ -29,7 +30,7 @@ class Inside:
 
 
 def guard(inside: Inside, token: str | None = None) -> Guard:
-    return Guard(inside, ["127.0.0.1", "localhost", "::1"], token, "<form>", secure=token is not None)
+    return Guard(inside, ["127.0.0.1", "localhost", "::1"], token, FORM, secure=token is not None)
 
 
 def ask(
@@ -106,11 +107,33 @@ def test_a_number_that_the_server_did_not_issue_is_replaced(given: str) -> None:
 def test_wrong_tokens_are_told_and_waited_for(caplog: pytest.LogCaptureFixture) -> None:
     app = guard(Inside(), TOKEN)
     right = f"token={TOKEN}".encode()
-    answers = [ask(app, method="POST", path=LOGIN, body=b"token=wrong", origin=OURS)[0] for _ in range(2)]
-    assert answers == [401, 401]
+    answers = [ask(app, method="POST", path=LOGIN, body=b"token=wrong", origin=OURS) for _ in range(2)]
+    assert [(status, body) for status, _, body in answers] == [(401, b'<form><p role="alert">not &lt;it&gt;</p>')] * 2
     assert "wrong access token from unknown, 2 in a row" in caplog.text
-    status, headers, _ = ask(app, method="POST", path=LOGIN, body=right, origin=OURS)
+    status, headers, body = ask(app, method="POST", path=LOGIN, body=right, origin=OURS)
     assert (status, headers["retry-after"]) == (429, "1")  # nothing is looked at now, the right one neither
+    assert body == b'<form><p role="alert">in 1 s</p>'
+
+
+def test_a_proxy_of_this_computer_may_have_the_tls_that_this_server_has_not() -> None:
+    """Under the name that it goes by, and under no other."""
+    app = Guard(Inside(), ["127.0.0.1"], TOKEN, FORM, secure=False, proxied=["mill.example"])
+    right = f"token={TOKEN}".encode()
+    for host, origin, status, secure in (
+        ("mill.example", "https://mill.example", 303, True),
+        ("mill.example", "http://mill.example", 303, False),
+        ("mill.example:8443", "https://mill.example:8443", 303, True),
+        ("mill.example", "https://evil.example", 403, False),
+        ("mill.example", "https://mill.example:8443", 403, False),
+        ("127.0.0.1:8080", "https://127.0.0.1:8080", 403, False),
+    ):
+        answer = ask(app, method="POST", path=LOGIN, body=right, host=host, origin=origin)
+        assert answer[0] == status, (host, origin)
+        assert ("Secure" in answer[1].get("set-cookie", "")) is secure
+    admitted = ask(app, method="POST", path=LOGIN, body=right, host="mill.example", origin="https://mill.example")
+    cookie = admitted[1]["set-cookie"].partition(";")[0]
+    assert ask(app, "websocket", host="mill.example", origin="https://mill.example", cookie=cookie)[0] == 101
+    assert ask(app, "websocket", host="mill.example", origin="https://evil.example", cookie=cookie)[0] == 403
 
 
 def test_a_body_that_is_too_long_is_refused_before_it_is_kept() -> None:
