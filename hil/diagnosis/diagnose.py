@@ -116,7 +116,12 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         or exceeds_repeats(floor, parts, _noise_of_repeats(floor, campaign, rows, residual_um))
     )
     doubted = {
-        f.effect for f in findings if unpredicted or f.effect in courses or is_unsure(f, findings, campaign)
+        f.effect
+        for f in findings
+        if unpredicted
+        or f.effect in courses
+        or is_unsure(f, findings, campaign)
+        or _is_mostly_in_table(f, chosen, campaign)
     } | required
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     findings = with_rivals(
@@ -312,6 +317,14 @@ def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
 def _beside_table_um(projection: Projection, term: Term, campaign: CampaignRows) -> float:
     """RMS over the rows of what the table cannot hold of a term, µm."""
     return math.sqrt(_energy_beside(projection, term.error_um(campaign.columns)) / len(campaign))
+
+
+def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows) -> bool:
+    """Whether the table can hold most of an effect of position and direction: its size and name rest on what is left."""
+    if not finding.term.effect.static:
+        return False
+    projection = chosen.last.searcher.projection(chosen.last.noise.calm())
+    return _beside_table_um(projection, finding.term, campaign) < policy().in_table * finding.rms_um
 
 
 def _energy_beside(projection: Projection, course_um: Floats) -> float:
