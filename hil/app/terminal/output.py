@@ -101,7 +101,7 @@ def print_table(
 ) -> None:
     """A table on standard output. The first column is left aligned, the others right, unless a column says otherwise.
 
-    paths: a column of paths, broken between their names alone; the other columns wrap first
+    paths: a column of paths, broken between their names as long as each fits; the other columns wrap first
     """
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
@@ -111,14 +111,16 @@ def print_table(
         column if isinstance(column, tuple) else (column, "right" if i else "left") for i, column in enumerate(columns)
     ]
     table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD)
+    fits = False
     if paths is not None:
         at = [name for name, _ in named].index(paths)
         others = sum(_longest_word([name, *(row[i] for row in cells)]) for i, (name, _) in enumerate(named) if i != at)
         room = console.width - 3 * len(named) - 1 - others
         for row in cells:
             row[at] = _between_names(row[at], room)
+        fits = all(len(line) <= room for row in cells for line in row[at].splitlines())
     for name, align in named:
-        table.add_column(name, justify=align, overflow="fold", no_wrap=name == paths)
+        table.add_column(name, justify=align, overflow="fold", no_wrap=fits and name == paths)
     for row in cells:
         table.add_row(*row)
     console.print(table)

@@ -82,7 +82,7 @@ def export_within(controller: Controller, tables: TableSet, settings: Any) -> Ex
     )
 
 
-_RESAMPLING_UM = tuple(10.0 * 0.85**step for step in range(43))
+_RESAMPLING_UM = tuple(10.0 * 0.7**step for step in range(20))
 """Deviations by resampling that are tried, µm, 10 to 0.01: the widest points with which the whole keeps the tolerance are written."""
 _ROUNDING_UM = 1e-9
 """Of the comparison itself."""
