@@ -31,8 +31,12 @@ def vcan_here() -> bool:
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """`pytest tests/contract/test_effects.py --effects FILE.py` runs the suite on a user's own effects."""
+    """`pytest tests/contract/test_effects.py --effects FILE.py` runs the suite on a user's own effects.
+
+    `pytest -m "" tests/integration/test_modbus_fault_campaign.py --seeds 6` runs that campaign whole; two cores have no time for it.
+    """
     parser.addoption("--effects", metavar="FILE.py", action="append", default=[], help="Python code with EFFECTS = (…)")
+    parser.addoption("--seeds", metavar="N", type=int, default=3, help="faults of each kind in the slow campaign, 3")
 
 
 def pytest_configure() -> None:
