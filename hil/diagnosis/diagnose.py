@@ -113,7 +113,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     unexplained = (
         unexplained
         or unpredicted
-        or exceeds_repeats(floor, parts, _noise_of_repeats(floor, campaign, rows, residual_um))
+        or exceeds_repeats(floor, parts, noise_of_repeats(floor, campaign, rows, residual_um))
     )
     doubted = {
         f.effect
@@ -223,7 +223,7 @@ def exceeds_repeats(floor: PureError | None, parts: NoiseParts, alike: float = 1
     return parts.white_um * alike > policy().beyond_repeats * upper_um
 
 
-def _noise_of_repeats(floor: PureError | None, campaign: CampaignRows, rows: AllRows, residual_um: Floats) -> float:
+def noise_of_repeats(floor: PureError | None, campaign: CampaignRows, rows: AllRows, residual_um: Floats) -> float:
     """Noise of the rows that were repeated over that of all rows, by the run, the speed and the quarter of the travel of each."""
     mine = np.isin(rows.kept, () if floor is None else floor.rows)
     if not np.any(mine):

@@ -134,12 +134,12 @@ def _remembered(v: Variable, campaign: CampaignRows) -> tuple[Variable, ...]:
     time = campaign.columns[campaign.survey.time_column]
     span = float(np.ptp(time))
     late = [lagged(time, v.u, share * span) for share in LAGS]
-    late += [v.u - _play(v.u, width) for width in PLAYS]
-    late += [_relay(v.u, low, high) for low, high in RELAYS]
+    late += [v.u - play(v.u, width) for width in PLAYS]
+    late += [relay(v.u, low, high) for low, high in RELAYS]
     return tuple(scaled(v.name, one) for one in late if np.ptp(one) > 0.0)
 
 
-def _play(u: Floats, width: float) -> Floats:
+def play(u: Floats, width: float) -> Floats:
     """What follows a course (n,) with so much play on either side."""
     at, out = float(u[0]), []
     for value in u.tolist():
@@ -148,7 +148,7 @@ def _play(u: Floats, width: float) -> Floats:
     return np.array(out)
 
 
-def _relay(u: Floats, low: float, high: float) -> Floats:
+def relay(u: Floats, low: float, high: float) -> Floats:
     """1 from where a course (n,) exceeds `high` until it falls below `low`, else 0."""
     on, out = 0.0, []
     for value in u.tolist():

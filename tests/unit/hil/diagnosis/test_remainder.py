@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -11,10 +12,10 @@ from support.workshop import TRAVEL_MM, Cause, Floats, workshop
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose
-from hil.diagnosis.campaign import prepare
-from hil.diagnosis.diagnose import exceeds_repeats
+from hil.diagnosis.campaign import AllRows, prepare
+from hil.diagnosis.diagnose import exceeds_repeats, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
-from hil.diagnosis.remainder import LeftOver, left_over
+from hil.diagnosis.remainder import LeftOver, carriers, left_over
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import scan, variables
@@ -154,6 +155,61 @@ def test_the_scale_of_the_rows_is_that_of_their_noise() -> None:
     assert np.sqrt(np.mean(even**2)) == pytest.approx(1.0)
 
 
+def with_a_slow_bed(seed: int, cause: Cause, ratio: float) -> Records:
+    """A campaign whose bed warms and cools two and a half times, with a cause that may follow it, ratio times the noise."""
+
+    def beside(c: dict[str, Floats]) -> Floats:
+        return cause({**c, "temp_bed_c": bed(c)})
+
+    records, _ = workshop(seed, beside, ratio=ratio, noise_um=NOISE_UM)
+    rng = np.random.default_rng([seed, 5])
+    return Records.of({**records.columns, "temp_bed_c": bed(records.columns) + rng.normal(0.0, 0.02, len(records))})
+
+
+def bed(c: Mapping[str, Floats]) -> Floats:
+    time = c["time_s"]
+    return 21.0 + 2.0 * np.sin(2.0 * np.pi * 2.5 * (time - time[0]) / np.ptp(time))
+
+
+def relay_of_the_bed(c: dict[str, Floats]) -> Floats:
+    """A joint that slips as the bed passes 22 °C, and slips back below 20 °C: between the two it depends on where it came from."""
+    on, state = -1.0, []
+    for value in c["temp_bed_c"].tolist():
+        on = 1.0 if value > 22.0 else -1.0 if value < 20.0 else on
+        state.append(on)
+    return np.array(state) * np.sin(2 * np.pi * 1.6 * c["target_mm"] / TRAVEL_MM)
+
+
+def the_bed_late(c: dict[str, Floats]) -> Floats:
+    """A mass that warms through the bed, in steps of Euler, with a time constant of an eleventh of the campaign."""
+    time, late = c["time_s"], [float(c["temp_bed_c"][0])]
+    for value, step in zip(c["temp_bed_c"][1:].tolist(), np.diff(time).tolist(), strict=True):
+        late.append(late[-1] + (value - late[-1]) * min(11.0 * step / float(np.ptp(time)), 1.0))
+    return (np.array(late) - 21.0) * np.sin(2 * np.pi * 1.3 * c["target_mm"] / TRAVEL_MM)
+
+
+def turning_part_in_a_warm_bed(c: dict[str, Floats]) -> Floats:
+    """Finer along the position than the products of all columns are."""
+    return (c["temp_bed_c"] - 21.0) * np.sin(2 * np.pi * 6.3 * c["target_mm"] / TRAVEL_MM)
+
+
+@pytest.mark.parametrize("cause", [relay_of_the_bed, the_bed_late, turning_part_in_a_warm_bed])
+def test_a_slow_column_is_named_by_what_it_was_before_too_and_beside_fine_waves(cause: Cause) -> None:
+    found = rest_of(with_a_slow_bed(41, cause, 1.2))
+    assert found
+    first = found[0]
+    assert "target_mm" in first.columns
+    assert "temp_bed_c" in {*first.columns, *(name for alike in first.equivalent.values() for name in alike)}
+    assert "temp_bed_c" in first.columns or cause is the_bed_late, "a lag of a sine is a sine of the time"
+    assert "load_kg" not in {*first.columns, *(name for alike in first.equivalent.values() for name in alike)}
+
+
+def test_play_and_relay_by_hand() -> None:
+    u = np.array([0.0, 0.5, 1.0, 0.7, 0.5, 0.1, 0.2])
+    assert carriers.play(u, 0.2).tolist() == pytest.approx([0.0, 0.3, 0.8, 0.8, 0.7, 0.3, 0.3])
+    assert carriers.relay(u, 0.3, 0.8).tolist() == [0, 0, 1, 1, 1, 0, 0]
+
+
 def one_row_in_ten(c: dict[str, Floats]) -> Floats:
     hit = np.random.default_rng(8).random(len(c["target_mm"])) < 0.1
     return hit * np.sin(2 * np.pi * 2.2 * c["target_mm"] / TRAVEL_MM + 0.3)
@@ -250,6 +306,26 @@ def test_rows_that_vary_far_more_than_their_repeats_are_unexplained() -> None:
     assert not exceeds_repeats(far, noise, 0.2), (
         "the rows that were repeated stood still, and moving ones have five times the noise"
     )
+
+
+def test_repeats_at_rest_are_held_against_the_noise_at_rest() -> None:
+    """Rows in motion vary four times as much, and the targets that are approached again are all at rest."""
+    campaign = prepare(workshop(5, tails="faster")[0])
+    rest = np.flatnonzero(campaign.columns["velocity_mm_s"] == 0.0)
+    rows = AllRows(campaign.columns, campaign.error_um, np.arange(len(campaign)))
+    rng = np.random.default_rng(3)
+    moving = campaign.columns["velocity_mm_s"] > 0.0
+    residual_um = rng.normal(size=len(campaign)) * np.where(moving, 4.0, 1.0)
+    floor = PureError(Estimate(1.0, 0.1), 40, "", rest)
+    alike = noise_of_repeats(floor, campaign, rows, residual_um)
+    assert alike == pytest.approx(np.std(residual_um[rest]) / np.std(residual_um), rel=0.2)
+    assert noise_of_repeats(None, campaign, rows, residual_um) == 1.0
+
+
+def test_a_cycle_that_the_table_can_mostly_hold_has_a_name_in_doubt() -> None:
+    """Lost motion whose travel was not logged, by long waves that the table takes most of: said with certainty once."""
+    said = diagnose(Records.of(draw("missing", 101_004).fit.records))
+    assert all(finding.confidence < 0.9 for finding in said.findings if finding.effect == "cyclic")
 
 
 def test_a_jump_from_one_run_to_the_next_may_be_anything_that_was_set_there() -> None:
