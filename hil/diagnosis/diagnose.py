@@ -46,7 +46,7 @@ from hil.diagnosis.verdict.rivals import (
     weights_of,
     with_rivals,
 )
-from hil.effects import ALL, Effect, Term
+from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
 from hil.records.rows import Records
@@ -97,7 +97,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     findings = tuple(finding for finding in found if finding.effect not in below_noise)
     chosen = refitted_without(chosen, below_noise, noise) if below_noise else chosen
     courses = dict(courses_as_good(chosen))
-    doubtful = {finding.effect: finding.term for finding in findings if finding.doubtful}
+    doubtful = {f.effect: Estimate(f.rms_um, f.rms_std_um) for f in findings if f.doubtful}
     unexplained = unexplained or bool(doubtful)
     structures = structures if unexplained else ()
     said = bool(dropped or few or below_noise or unexplained)
@@ -380,12 +380,12 @@ def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:
 
 def _carriers(
     chosen: Chosen,
-    doubtful: Mapping[str, Term],
+    doubtful: Mapping[str, Estimate],
     structures: Sequence[StructureEstimate],
     left: Sequence[LeftOver],
     campaign: CampaignRows,
 ) -> Iterator[Carrier]:
-    """doubtful: the terms of findings that a cause outside the catalogue explains better than their own effect
+    """doubtful: RMS, µm, of findings that a cause outside the catalogue explains better than their own effect
 
     What is left of any form counts before the structures, which were found on the way and are in it.
     """
@@ -400,8 +400,8 @@ def _carriers(
     for selected in chosen.selections:
         for effect, foreign_structure in selected.foreign.items():
             if effect in doubtful:
-                rms_um = rms_of_term(doubtful[effect], campaign.columns)
-                yield Carrier(foreign_structure.columns, rms_um, math.exp(-max(foreign_structure.gain, 0.0)))
+                probability = math.exp(-max(foreign_structure.gain, 0.0))
+                yield Carrier(foreign_structure.columns, doubtful[effect], probability)
     if last.memory is not None:
         found = last.memory
         yield Carrier((campaign.survey.time_column,), found.rms_um, math.exp(-found.log_odds))

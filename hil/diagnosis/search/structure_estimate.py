@@ -193,7 +193,10 @@ def rms_of(
 
 
 def rms_of_term(term: Term, columns: Columns) -> Estimate:
-    """RMS of a fitted effect over rows about its mean, µm; its non-linear parameters enter by their first-order effect."""
+    """RMS of a fitted effect over rows about its mean, µm; its non-linear parameters enter by their first-order effect.
+
+    Where the rows do not determine them that says nothing: the size is then that of the fitted course, as uncertain as it is large.
+    """
     basis = term.effect.basis(term.form, term.theta, columns)
     coefficients = np.array(term.coefficients)
     slopes = basis[:, :0] if term.form.shrunk else slopes_of(columns, term, coefficients)
@@ -201,4 +204,8 @@ def rms_of_term(term: Term, columns: Columns) -> Estimate:
     width = design.shape[1]
     covariance = np.array(term.covariance)[:width, :width]
     whole = np.concatenate([coefficients, np.zeros(width - len(coefficients))])
-    return rms_of(design, whole, covariance, np.ones((len(basis), 1)), shrunk=term.form.shrunk)
+    rms = rms_of(design, whole, covariance, np.ones((len(basis), 1)), shrunk=term.form.shrunk)
+    if rms.std < rms.value:
+        return rms
+    size_um = float(np.std(basis @ coefficients))
+    return Estimate(size_um, size_um)
