@@ -367,7 +367,18 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tu
         std = rms * _unsure_of_size(chosen, effect.id, of_rows) if more else rms_of_term(term, columns).std
         follows = () if more else columns_as_good(chosen, term, noise)
         findings.append(Finding(term, confidence, tuple(rivals), rms, std, peak, more, effect.id in free, follows))
-    return tuple(sorted(findings, key=lambda f: -f.rms_um))
+    return in_order(findings)
+
+
+def in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:
+    """The findings, largest first, but the mean of one that varies along the axis after that one."""
+    size = {finding.effect: finding.rms_um for finding in findings}
+
+    def key(finding: Finding) -> tuple[float, bool]:
+        whole = size.get(finding.term.effect.mean_of)
+        return (-finding.rms_um, False) if whole is None else (-min(finding.rms_um, whole), True)
+
+    return tuple(sorted(findings, key=key))
 
 
 def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:

@@ -20,6 +20,7 @@ class Backlash(Effect):
     title: ClassVar[str] = "backlash, the same everywhere"
     action: ClassVar[Action] = Action.COMPENSATE
     static: ClassVar[bool] = True
+    mean_of: ClassVar[str] = "backlash_position"
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("backlash_position", "reversals at mid-travel and at both ends"),
         Rival("lost_motion", "the same targets after different travel since the reversal"),

@@ -130,6 +130,8 @@ class Effect(ABC):
     """A smooth shape over the whole travel, as a correction table is one: a fit cannot tell its share from the table's own."""
     slow: ClassVar[bool] = False
     """Follows a temperature or the air, which change together over a campaign, so that one such effect may stand for two."""
+    mean_of: ClassVar[str] = ""
+    """Id of an effect that varies along the axis, whose mean this one is: beside it, it is no cause of its own."""
     several: ClassVar[bool] = False
     """Whether a machine may have it more than once (two periods, two worn zones, two jumps). Two terms of any other effect are one
     course, of which only the sum is determined.

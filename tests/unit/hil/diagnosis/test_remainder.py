@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import AllRows, prepare
-from hil.diagnosis.diagnose import exceeds_repeats, noise_of_repeats
+from hil.diagnosis.diagnose import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.remainder import LeftOver, carriers, left_over
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
@@ -335,6 +335,18 @@ def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_cour
     assert said.carriers
     assert all(0.0 < one.rms.std <= one.rms.value < 2.0 * largest_um for one in said.carriers)
     assert all(finding.rms_std_um <= finding.rms_um for finding in said.findings)
+
+
+def test_the_mean_of_a_backlash_that_varies_comes_after_it() -> None:
+    """A reversal value that varies along the axis has a mean, larger than what varies, and is one cause."""
+    found = {
+        name: replace(finding_of(name, "target_mm"), rms_um=rms_um)
+        for name, rms_um in (("backlash", 4.5), ("backlash_position", 1.2), ("cyclic", 2.0), ("lost_motion", 0.5))
+    }
+    names = [one.effect for one in in_order(tuple(found.values()))]
+    assert names == ["cyclic", "backlash_position", "backlash", "lost_motion"]
+    alone = [found["cyclic"], found["backlash"]]
+    assert [one.effect for one in in_order(alone)] == ["backlash", "cyclic"]
 
 
 def test_a_jump_from_one_run_to_the_next_may_be_anything_that_was_set_there() -> None:
