@@ -131,8 +131,9 @@ class Carrier:
     equivalent: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def __str__(self) -> str:
-        named = (" or equivalent ".join((name, *self.equivalent.get(name, ()))) for name in self.columns)
-        return f"{' × '.join(named)} ({self.rms} µm RMS)"
+        alike = {name: f" (or equivalent: {', '.join(names)})" for name, names in self.equivalent.items() if names}
+        named = " × ".join(name + alike.get(name, "") for name in self.columns)
+        return f"{named}, {self.rms} µm RMS"
 
     def to_json(self) -> dict[str, Any]:
         """Plain values."""

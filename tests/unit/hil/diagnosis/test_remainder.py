@@ -337,6 +337,11 @@ def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_cour
     assert all(finding.rms_std_um <= finding.rms_um for finding in said.findings)
 
 
+def test_what_carries_the_rest_is_said_in_one_line() -> None:
+    carrier = Carrier(("temp_bed_c", "target_mm"), Estimate(1.25, 0.1), 1e-6, {"temp_bed_c": ("air_temp_c", "time_s")})
+    assert str(carrier) == "temp_bed_c (or equivalent: air_temp_c, time_s) × target_mm, 1.25 ± 0.2 µm RMS", "± is k = 2"
+
+
 def test_the_mean_of_a_backlash_that_varies_comes_after_it() -> None:
     """A reversal value that varies along the axis has a mean, larger than what varies, and is one cause."""
     found = {
