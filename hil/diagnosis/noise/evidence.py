@@ -247,9 +247,8 @@ class Projection:
 
         z'Py = z'rest for whitened columns z, of the rows kept.
         """
-        coefficients = self.inverse_lower.T @ self.y_shadow
-        fitted = self.whitened.table @ coefficients[: self.whitened.table.shape[1]]
-        fitted += self.beside @ coefficients[self.whitened.table.shape[1] :]
+        fitted = self.whitened.table @ self._coefficients[: self.whitened.table.shape[1]]
+        fitted += self.beside @ self._coefficients[self.whitened.table.shape[1] :]
         rest = self.y - fitted
         if self.out is not None:
             rest[self.out] = 0.0
@@ -258,9 +257,13 @@ class Projection:
     @property
     def unexplained(self) -> Floats:
         """Whitened errors less what the rows that were not left out give the projected columns, of every row, shape (n,)."""
-        coefficients = self.inverse_lower.T @ self.y_shadow
         design = np.hstack([self.whitened.table, self.whitened.whiten(np.hstack([self.extra.random, self.extra.free]))])
-        return np.asarray(self.whitened.whiten(self.errors) - design @ coefficients)
+        return np.asarray(self.whitened.whiten(self.errors) - design @ self._coefficients)
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        """Of the projected columns, table first, shape (p + q,) or (p + q, b)."""
+        return np.asarray(self.inverse_lower.T @ self.y_shadow)
 
     def solve_lower(self, cross: Floats) -> Floats:
         """R⁻ᵀ of cross products with the projected columns, shape (p + q, …)."""

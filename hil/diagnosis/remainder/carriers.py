@@ -55,12 +55,10 @@ def carried(null: Null, columns: Sequence[Variable], found: Scan, best: Block | 
     if best is not None:
         trials += [_trial(null, named, (name,), d) for name in best.columns if name in named and name != "target_mm"]
     top = max(trials, key=_worth)
-    before = (
-        {v.name: _remembered(v, null.linear.campaign) for v in columns if is_slow(v)}
-        if _may_remember(top, named)
-        else {}
+    slow = (
+        [v for v in columns if is_slow(v)] if _may_remember(top, named, null.linear.campaign.survey.time_column) else []
     )
-    late = [one for memories in before.values() for one in _late(null, named, top, memories, d)]
+    late = [one for v in slow for one in _late(null, named, top, _remembered(v, null.linear.campaign), d)]
     top = max([top, *late], key=_worth)
     return Carried(top, _equivalent(null, named, top, [*trials, *late], d))
 
@@ -93,7 +91,7 @@ def _trial(
 def _processes(null: Null, named: dict[str, Variable], groups: Sequence[Group], d: Floats | None) -> Iterator[Block]:
     """A process in time that multiplies the wave along the position of a set's best group, where its columns are these two."""
     names = groups[0].columns
-    time = next((named[name] for name in names if name in ("time_s", "row_order")), None)
+    time = named.get(null.linear.campaign.survey.time_column)
     if time is None or time.levels or {*names} - {"direction"} != {"target_mm", time.name}:
         return
     one = groups[0]
@@ -104,8 +102,7 @@ def _processes(null: Null, named: dict[str, Variable], groups: Sequence[Group], 
     yield blocks.block(null, names, blocks.process_of(wave, time))
 
 
-def _may_remember(top: Block, named: dict[str, Variable]) -> bool:
-    time = next((v.name for v in named.values() if v.name in ("time_s", "row_order")), "")
+def _may_remember(top: Block, named: dict[str, Variable], time: str) -> bool:
     return any(name == time or (name in named and is_slow(named[name])) for name in top.columns)
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,14 +106,25 @@ class Group:
 
 @dataclass(frozen=True)
 class Scan:
-    """The best groups with -log10 of their probability in noise, best first, and the number of groups tested.
+    """The best groups with -log10 of their probability in noise and with the number of groups tested, best first.
 
-    by_columns: the best groups of each set of columns, at most GROUPS, the best set first
+    batches: all groups as they were tested together, with -log10 of the probability of each by itself, shape (G,)
     """
 
     best: tuple[tuple[Group, float], ...]
-    tested: int
-    by_columns: tuple[tuple[Group, ...], ...]
+    batches: tuple[tuple[Sequence[Group], Floats], ...]
+
+    @cached_property
+    def by_columns(self) -> tuple[tuple[Group, ...], ...]:
+        """The best groups of each set of columns, at most GROUPS, the best set first: asked for when what is left must be named."""
+        sets: dict[tuple[str, str, bool], list[tuple[float, Group]]] = {}
+        for groups, scores in self.batches:
+            for i in np.flatnonzero(scores > np.max(scores) - WORSE).tolist():
+                one = groups[i]
+                key = one.first.name, one.second.name if one.second else "", one.with_direction
+                sets.setdefault(key, []).append((float(scores[i]), one))
+        ordered = [sorted(own, key=lambda pair: -pair[0])[:GROUPS] for own in sets.values()]
+        return tuple(tuple(group for _, group in own) for own in sorted(ordered, key=lambda own: -own[0][0]))
 
     @property
     def score(self) -> float:
@@ -140,20 +152,15 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None
     found: list[tuple[float, Group]] = []
-    sets: dict[tuple[str, str, bool], list[tuple[float, Group]]] = {}
-    tested = 0
+    batches: list[tuple[Sequence[Group], Floats]] = []
     weight = (1.0 / null.scale).astype(np.float32)
     for groups, design in _batches(columns, d):
-        tested += len(groups)
         scores = -log10_probability(null.best, np.multiply(design, weight, out=design))
         top = np.argsort(-scores)[:RESCORED]
         found.extend((float(scores[i]), groups[i]) for i in top)
         found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
-        for i in np.flatnonzero(scores > np.max(scores) - WORSE):
-            one = groups[i]
-            key = one.first.name, one.second.name if one.second else "", one.with_direction
-            sets.setdefault(key, []).append((float(scores[i]), one))
-    known = float(np.log10(max(tested, 1)))
+        batches.append((groups, scores))
+    known = float(np.log10(max(sum(len(groups) for groups, _ in batches), 1)))
     scores = np.array([score for score, _ in found])
     for width in (2, 4):
         mine = [i for i, (score, group) in enumerate(found) if group.width == width and score > known]
@@ -164,9 +171,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         for projection in null.nearly_as_good:
             scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked))
     best = [(group, float(score) - known) for (_, group), score in zip(found, scores, strict=True)]
-    ordered = [sorted(own, key=lambda pair: -pair[0])[:GROUPS] for own in sets.values()]
-    by_columns = [tuple(group for _, group in own) for own in sorted(ordered, key=lambda own: -own[0][0])]
-    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tested, tuple(by_columns))
+    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tuple(batches))
 
 
 def log10_probability(projection: Projection, design: Singles) -> Floats:
