@@ -47,7 +47,7 @@ def test_from_records_to_the_drives_command(
     plain, extended, out = (str(tmp_path / name) for name in ("plain.json", "extended.json", "out.csv"))
     assert main(["diagnose", measured, "--out", plain, "--json", str(tmp_path / "a.json")]) == 1
     said = capsys.readouterr().out
-    assert "load_kg × pos_y_mm (" in said
+    assert "load_kg × pos_y_mm, " in said
     assert "--non-parametric adds a smooth function of load_kg × pos_y_mm" in said
     assert "non_parametric" not in Path(plain).read_text()
     (carrier,) = json.loads((tmp_path / "a.json").read_text())["carried_by"]
