@@ -145,6 +145,15 @@ def on_nodes(table: DirectionalTable, nodes: Floats) -> DirectionalTable:
     return DirectionalTable(nodes, table.at(nodes, 1), table.at(nodes, -1))
 
 
+def _lost_on_nodes_um(table: DirectionalTable, nodes: Floats) -> float:
+    """The largest difference of the table and `on_nodes` of it, µm: zero on the new nodes, so the table's own are looked at."""
+    at = table.position_mm
+    return max(
+        float(np.max(np.abs(np.interp(at, nodes, np.interp(nodes, at, one_um)) - one_um)))
+        for one_um in (table.plus_um, table.minus_um)
+    )
+
+
 def equidistant(
     table: DirectionalTable,
     step_mm: float | None,
@@ -179,9 +188,8 @@ def equidistant(
                 f"a step of {given:g} mm needs {len(grid)} points, and at most {max_points} fit; widen the step to"
                 f" {span / max(max_points - 2, 1):.3f} mm or more"
             )
-        resampled = on_nodes(table, grid)
-        _check_resampling(largest_difference_um(resampled, table), given, tolerance_um)
-        return resampled, given
+        _check_resampling(_lost_on_nodes_um(table, grid), given, tolerance_um)
+        return on_nodes(table, grid), given
     best, best_step, best_points = np.inf, 0.0, 0
     tried = None
     for intervals in range(1, max_points):
@@ -192,10 +200,9 @@ def equidistant(
         grid = _grid(origin, first, last, step)
         if len(grid) > max_points:
             continue
-        resampled = on_nodes(table, grid)
-        deviation = largest_difference_um(resampled, table)
+        deviation = _lost_on_nodes_um(table, grid)
         if deviation <= tolerance_um:
-            return resampled, step
+            return on_nodes(table, grid), step
         if deviation < best:
             best, best_step, best_points = deviation, step, len(grid)
     raise InputError(

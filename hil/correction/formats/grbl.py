@@ -16,7 +16,6 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linprog
 
 from drivers.errors import InputError
 from hil.correction.formats.common import (
@@ -115,6 +114,8 @@ def _steps(wanted: DirectionalTable, backlash_um: float, settings: GrblHalSettin
 
 def _slope(x_mm: Floats, y_um: Floats) -> float:
     """Slope, µm/mm, of the straight line with the smallest largest distance from a curve, by a linear program."""
+    from scipy.optimize import linprog  # noqa: PLC0415  (slow to import, and one format of eight needs it)
+
     one = np.ones_like(x_mm)
     above, below = np.column_stack([x_mm, one, -one]), np.column_stack([-x_mm, -one, -one])
     sides = np.concatenate([y_um, -y_um])

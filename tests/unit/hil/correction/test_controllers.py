@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputError
 from hil.correction.formats import CONTROLLERS, Controller, fanuc, linuxcnc, sinumerik, twincat
-from hil.correction.formats.common import Export
+from hil.correction.formats.common import Export, both_directions, equidistant
 from hil.correction.formats.fanuc import FanucSettings
 from hil.correction.formats.linuxcnc import LinuxCncSettings
 from hil.correction.formats.sinumerik import SinumerikSettings
@@ -379,6 +379,26 @@ def test_fanuc_round_trip(tables: TableSet, towards: int, unit: tuple[float, int
     at_reference = float(tables.correction_um(chosen.reference_mm, -towards)) - made.shift_um
     found = float(again.correction_um(chosen.reference_mm, -towards))
     assert abs(found - at_reference) <= chosen.detection_unit_um / 2 + 0.4 + 1e-6
+
+
+@MANY
+@given(table_sets(), st.floats(0.3, 3.0))
+def test_a_step_is_refused_by_the_largest_difference_at_any_position(tables: TableSet, share: float) -> None:
+    """Judged on a fine grid, and on the nodes of both: the refusal's boundary is the largest difference itself."""
+    wanted = both_directions(tables)
+    step_mm = round(share * float(np.median(np.diff(wanted.position_mm))), 2) + 0.01
+
+    def resampled(tolerance_um: float) -> DirectionalTable:
+        grid, _ = equidistant(wanted, step_mm, resolution_mm=0.01, max_points=10_000, tolerance_um=tolerance_um)
+        return grid
+
+    grid = resampled(np.inf)
+    where = np.union1d(np.linspace(wanted.position_mm[0] - 9, grid.position_mm[-1] + 9, 4001), wanted.position_mm)
+    where = np.union1d(where, grid.position_mm)
+    worst = max(float(np.max(np.abs(wanted.at(where, sign) - grid.at(where, sign)))) for sign in (1, -1))
+    assert resampled(worst + 1e-9) == grid
+    with pytest.raises(InputError, match="deviates"):
+        resampled(worst - 1e-9)
 
 
 @MANY
