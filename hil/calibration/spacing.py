@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import BSpline, make_lsq_spline
 
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, iso_targets
 from hil.machine.measure import Step
 from hil.records.rows import Floats, Records
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 KIND = "dense"
 OVER_TRAVEL, PER_REVOLUTION, REVOLUTIONS = 60, 10, 2
@@ -152,6 +154,8 @@ def dense_steps(axis: AxisConfig) -> list[Step]:
 
 def between_targets(records: Records, period_mm: float) -> Between:
     """The fit to a dense pass. records: uncorrected, in one direction; period_mm: of the screw. Raises InputError for too few rows."""
+    from scipy.interpolate import BSpline, make_lsq_spline  # noqa: PLC0415  (slow to import, and few calibrations make the pass)
+
     position, error_um = records.target_mm, records.uncorrected_error_um
     order = np.argsort(position)
     position, error_um = position[order], error_um[order]

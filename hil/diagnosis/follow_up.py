@@ -15,7 +15,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import columns_of
-from hil.diagnosis.diagnose import diagnose
+from hil.diagnosis.diagnosing import diagnose
 from hil.diagnosis.next.next_measurement import Outlook, Prospect, outlook
 from hil.diagnosis.next.planned_run import Means, PlannedRun
 from hil.diagnosis.policy import policy

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from drivers.errors import InputError
 from hil.records.rows import UM_PER_MM, Floats, Records
@@ -55,7 +54,7 @@ class TimeShift:
     @property
     def within_s(self) -> float:
         """Half width of the 95 % confidence interval."""
-        return float(stdtrit(self.freedom, 0.975)) * self.std_s
+        return _student(self.freedom, 0.975) * self.std_s
 
 
 @dataclass(frozen=True)
@@ -115,7 +114,7 @@ def time_shift(records: Records) -> TimeShift:
     straight = None
     if len(set(feeds)) > 2 and len(half) > 3:
         bent, bend_std = _fit(np.column_stack([rows, feed**2]), half)
-        straight = bool(abs(bent[2]) <= float(stdtrit(len(half) - 3, (1.0 + _CONFIDENCE) / 2.0)) * bend_std[2])
+        straight = bool(abs(bent[2]) <= _student(len(half) - 3, (1.0 + _CONFIDENCE) / 2.0) * bend_std[2])
     # positions in µm over feeds in mm/s; a reading that is late is behind
     return TimeShift(
         -float(line[1]) / UM_PER_MM, float(std[1]) / UM_PER_MM, len(half) - 2, -2.0 * float(line[0]), straight=straight
@@ -131,7 +130,7 @@ def latency_at_edges(records: Records) -> Latency:
     delays = [float(np.mean(records[DELAY][chosen])) for chosen in _passes(records)]
     if len(delays) < 2:
         raise InputError(f"{len(delays)} pass with edges that both saw; expected two or more")
-    within_s = float(stdtrit(len(delays) - 1, 0.975)) * float(np.std(delays, ddof=1)) / math.sqrt(len(delays))
+    within_s = _student(len(delays) - 1, 0.975) * float(np.std(delays, ddof=1)) / math.sqrt(len(delays))
     lag = time_shift(records)
     return Latency(
         float(np.mean(delays)),
@@ -179,6 +178,13 @@ def _half_differences(records: Records) -> tuple[list[float], list[float]]:
 def _at(grid: Floats, place: Floats, value: Floats) -> Floats:
     order = np.argsort(place)
     return np.asarray(np.interp(grid, place[order], value[order]))
+
+
+def _student(freedom: float, probability: float) -> float:
+    """Quantile of Student's t distribution."""
+    from scipy.special import stdtrit  # noqa: PLC0415  (slow to import, and every job at an axis can measure a latency)
+
+    return float(stdtrit(freedom, probability))
 
 
 def _fit(rows: Floats, values: Floats) -> tuple[Floats, Floats]:

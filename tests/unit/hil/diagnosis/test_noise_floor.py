@@ -11,7 +11,7 @@ from support.workshop import workshop
 
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import CampaignRows, prepare
-from hil.diagnosis.diagnose import beyond_noise, predicted_um
+from hil.diagnosis.diagnosing import beyond_noise, predicted_um
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.noise.repeats import pure_error

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import AllRows, prepare
-from hil.diagnosis.diagnose import exceeds_repeats, in_order, noise_of_repeats
+from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.remainder import LeftOver, carriers, left_over
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
