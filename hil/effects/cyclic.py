@@ -13,7 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term, Wave
 from hil.effects.survey import Survey
 
 FUNDAMENTAL = "fundamental"
@@ -93,23 +93,20 @@ class Cyclic(Effect):
             raise KeyError(form.name)
         return np.stack(waves, axis=2).reshape(len(angle), -1)
 
-    def scalar_um(
+    def wave(
         self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
-    ) -> float | None:
-        angle = 2 * math.pi * row["target_mm"] / theta[0]
-        sine, cosine = math.sin(angle), math.cos(angle)
-        total = coefficients[0] * sine + coefficients[1] * cosine
+    ) -> Wave | None:
+        per_mm = 2 * math.pi / theta[0]
+        (sine, cosine), more = coefficients[:2], coefficients[2:]
         if form.name == FUNDAMENTAL:
-            return total
+            return _wave(per_mm, sine, cosine)
+        if form.name == PER_DIRECTION:
+            return _wave(per_mm, sine + row["direction"] * more[0], cosine + row["direction"] * more[1])
+        first, second = _wave(per_mm, sine, cosine), _wave(per_mm * (2 if form.name == HARMONICS else 1), *more)
         if form.name == HARMONICS:
-            return total + coefficients[2] * math.sin(2 * angle) + coefficients[3] * math.cos(2 * angle)
-        if form.name == MODULATED:
-            factor = (row["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-        elif form.name == PER_DIRECTION:
-            factor = row["direction"]
-        else:
-            raise KeyError(form.name)
-        return total + factor * (coefficients[2] * sine + coefficients[3] * cosine)
+            return Wave(lambda x: first.at_um(x) + second.at_um(x), first.steepest + second.steepest)
+        centre, half_span = form.constants["centre_mm"], form.constants["half_span_mm"]
+        return Wave(lambda x: first.at_um(x) + (x - centre) / half_span * second.at_um(x), math.inf)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"period_mm": period_mm(term), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
@@ -129,6 +126,12 @@ class Cyclic(Effect):
             f"The error repeats every {period_mm(term)} mm of travel with an amplitude of"
             f" {term.amplitude(0, 1)} µm{extra}: a part that turns or divides with that period is eccentric or misadjusted."
         )
+
+
+def _wave(per_mm: float, sine: float, cosine: float) -> Wave:
+    """sine · sin(per_mm · x) + cosine · cos(per_mm · x), as one sine."""
+    size, phase, sin = math.hypot(sine, cosine), math.atan2(cosine, sine), math.sin
+    return Wave(lambda x: size * sin(per_mm * x + phase), per_mm * size)
 
 
 def period_mm(term: Term) -> Estimate:
