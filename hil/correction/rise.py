@@ -60,8 +60,9 @@ def _two_tanh(s: Floats, lengths: Sequence[float]) -> Floats:
 
 
 def _two_tanh_at(s: float, lengths: Sequence[float], amounts: Sequence[float]) -> float:
-    late = max(s - lengths[2], 0.0)
-    return amounts[0] * math.tanh(s / lengths[0]) + amounts[1] * math.tanh(late / lengths[1])
+    first_mm, second_mm, onset_mm = lengths
+    early = amounts[0] * math.tanh(s / first_mm)
+    return early if s <= onset_mm else early + amounts[1] * math.tanh((s - onset_mm) / second_mm)
 
 
 def _two_tanh_settled(lengths: Sequence[float]) -> float:

@@ -98,14 +98,14 @@ def _sum_of(functions: list[Callable[[float], float]]) -> Callable[[float], floa
 class _Branch:
     """A motion in one direction while the wind-up keeps its course. Places are counted in the direction of motion: times `sign`.
 
-    sign: +1 or -1; turn_mm: where it began; at_turn_um: the wind-up there; settled_mm: travel since, from which the share of the
-    wind-up is `settled`; until_mm: where a loop closes, NaN where each set-point is looked at; first: the history where it began
+    sign: +1 or -1; turn_mm: where it began; at_turn_um: the wind-up there; settled_at_mm: from where on the share of
+    the wind-up is `settled`; until_mm: where a loop closes, NaN where each set-point is looked at; first: the history where it began
     """
 
     sign: float
     turn_mm: float
     at_turn_um: float
-    settled_mm: float
+    settled_at_mm: float
     settled: float
     until_mm: float
     first: MotionHistory
@@ -136,6 +136,7 @@ class StreamedCorrection:
         "_issued_um",
         "_lengths_mm",
         "_max_um",
+        "_min_um",
         "_next_branch",
         "_next_reached_mm",
         "_reached_mm",
@@ -158,7 +159,7 @@ class StreamedCorrection:
     ) -> None:
         self._corrects = compensation is not None
         self._compensation = compensation or _UNCORRECTED
-        self.known, self._bound, self._max_um = known, bound, bound.max_um
+        self.known, self._bound, self._min_um, self._max_um = known, bound, -bound.max_um, bound.max_um
         self._by_estimate, self._ended = by_estimate, False
         self.actual: MotionHistory | None = None
         rise = self._compensation.rise
@@ -206,11 +207,10 @@ class StreamedCorrection:
         reached_mm = branch.sign * target_mm
         if not self._reached_mm < reached_mm < self._until_mm:
             return target_mm + self._checked_um(target_mm) / UM_PER_MM
-        travel_mm = reached_mm - branch.turn_mm
-        if travel_mm >= branch.settled_mm:
+        if reached_mm >= branch.settled_at_mm:
             share = branch.settled
         else:
-            risen_um = self._at(travel_mm, self._lengths_mm, self._amounts_um)
+            risen_um = self._at(reached_mm - branch.turn_mm, self._lengths_mm, self._amounts_um)
             share = (branch.at_turn_um + branch.sign * risen_um) / self._amount_um
             share = 0.0 if share < 0.0 else share if share < 1.0 else 1.0
         along = branch.along
@@ -219,7 +219,7 @@ class StreamedCorrection:
         correction_um = low_um + low_slope * past_mm + share * (more_um + more_slope * past_mm)
         if along.wave_um is not None:
             correction_um -= along.wave_um(target_mm)
-        if not -self._max_um <= correction_um <= self._max_um:
+        if not self._min_um <= correction_um <= self._max_um:
             return target_mm + self._checked_um(target_mm) / UM_PER_MM
         self._next_branch, self._next_reached_mm, self.correction_um = None, reached_mm, correction_um
         return target_mm + correction_um / UM_PER_MM
@@ -267,7 +267,8 @@ class StreamedCorrection:
             share = share_of(wound_um, rise.amount_um)
             return _Branch(sign, 0.0, wound_um, -math.inf, share, until_mm, first, along)
         share = share_of(wound_um + direction * rise.amount_um, rise.amount_um)
-        return _Branch(sign, sign * turns[-1], wound_um, rise.settled_mm, share, until_mm, first, along)
+        turn_mm = sign * turns[-1]
+        return _Branch(sign, turn_mm, wound_um, turn_mm + rise.settled_mm, share, until_mm, first, along)
 
     def _take(self, branch: _Branch) -> None:
         self._branch, self._next_branch = branch, None

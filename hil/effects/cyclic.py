@@ -20,6 +20,8 @@ FUNDAMENTAL = "fundamental"
 HARMONICS = "with second harmonic"
 MODULATED = "amplitude changing along the travel"
 PER_DIRECTION = "different in each direction"
+WAVES = {FUNDAMENTAL: 2, HARMONICS: 4, MODULATED: 4, PER_DIRECTION: 4}
+"""Columns of the basis: a sine and a cosine, once or twice."""
 
 LINES = 1500
 """Most frequencies of the even scan."""
@@ -81,17 +83,18 @@ class Cyclic(Effect):
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
         x = columns["target_mm"][:, None]
         angle = 2 * np.pi * x / np.array(thetas)[:, 0]
-        waves = [np.sin(angle), np.cos(angle)]
+        waves = np.empty((*angle.shape, WAVES[form.name]))
+        np.sin(angle, out=waves[..., 0])
+        np.cos(angle, out=waves[..., 1])
         if form.name == HARMONICS:
-            waves += [np.sin(2 * angle), np.cos(2 * angle)]
+            np.sin(2 * angle, out=waves[..., 2])
+            np.cos(2 * angle, out=waves[..., 3])
         elif form.name == MODULATED:
             u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-            waves += [u * wave for wave in waves]
+            np.multiply(u[..., None], waves[..., :2], out=waves[..., 2:])
         elif form.name == PER_DIRECTION:
-            waves += [columns["direction"][:, None] * wave for wave in waves]
-        elif form.name != FUNDAMENTAL:
-            raise KeyError(form.name)
-        return np.stack(waves, axis=2).reshape(len(angle), -1)
+            np.multiply(columns["direction"][:, None, None], waves[..., :2], out=waves[..., 2:])
+        return waves.reshape(len(angle), -1)
 
     def wave(
         self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]

@@ -25,6 +25,7 @@ TRAVEL = {"centre_mm": 50.0, "half_span_mm": 50.0}
 KNOWN = {"temp_screw_c": 24.5, "time_s": 10.0, "velocity_mm_s": 40.0, "pitch_urad": 7.0}
 LOOSE = CorrectionBound(1e6, 1e6)
 SAME_MM = 1e-12
+ENDS_MM = np.array([0.0, 100.0])
 
 
 def term(
@@ -166,6 +167,19 @@ def test_a_motion_in_fine_steps(compensation: Compensation, seed: int) -> None:
             history = wanted.history
 
 
+def test_turns_that_no_motion_makes_wind_up_no_further_than_the_ends() -> None:
+    """A loop of 30 mm within one of 0.1 mm: its rises add up to less than nothing."""
+    tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(ENDS_MM, np.full(2, 6.0), np.zeros(2)))
+    rising, history = (
+        Compensation(tables, (), Rise(TANH, (6.0,), (0.3,))),
+        MotionHistory(20.05, 1, 0.05, 30.1, (50.0, 50.1, 20.0)),
+    )
+    points = StreamedCorrection(rising, history, 20.05, {}, LOOSE)
+    for target_mm in (20.1, 20.2, 21.0, 30.0):
+        assert points.command_mm(target_mm) == rising.command(target_mm, history, {}, LOOSE).command_mm
+    assert points.command_mm(20.1) == 20.1
+
+
 @pytest.mark.parametrize("rise", RISES[1:], ids=lambda rise: rise.shape.name)
 def test_a_settled_rise_is_its_amount_to_the_last_bit(rise: Rise) -> None:
     for travel_mm in (rise.settled_mm, rise.settled_mm * 1.01, 1e6):
@@ -173,7 +187,6 @@ def test_a_settled_rise_is_its_amount_to_the_last_bit(rise: Rise) -> None:
 
 
 # -- refused -----------------------------------------------------------------------------------------------------------
-ENDS_MM = np.array([0.0, 100.0])
 
 
 def level(um: float) -> TableSet:
@@ -258,4 +271,4 @@ def test_an_ended_stream_gives_no_command_also_when_one_was_on_its_way() -> None
         points.end()
         points.issued()
         with pytest.raises(StateError, match="has ended"):
-            points.command_mm(target_mm * 1.01)
+            points.command_mm(2.0 * target_mm - 50.0)
