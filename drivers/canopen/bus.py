@@ -228,11 +228,15 @@ class CanLink:
     def poll(self) -> None:
         """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Raises LinkLostError."""
         with self._lock:
+            if not self._receive(0.0):
+                return  # as in nearly every cycle of a stream
             over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
-            while self._receive(0.0) and not over.expired:
+            while not over.expired:
                 if heard.expired:
                     self.clock.check_interrupt()
                     heard = self.clock.deadline(IO_SLICE_S)
+                if not self._receive(0.0):
+                    return
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds. Raises LinkLostError.

@@ -32,6 +32,8 @@ SLOPE_OVER_MM = 1.0
 """The change of a correction is taken within any stretch of this length: shorter than any screw's lead, and longer than the distance
 over which the noise of two readings looks steep."""
 
+BEYOND_WITH_STRAIGHTNESS = "correction with straightness not commanded"
+
 _SLACK = 1e-9  # of the rounding of a window's ends, mm, and of a sum, as a share
 
 

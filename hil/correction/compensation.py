@@ -10,10 +10,9 @@ memory: the motion so far is a value (`MotionHistory`) that the caller carries f
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +22,6 @@ from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.rise import Rise
 from hil.correction.running_lost_motion import Turns, remembered, wound_share
 from hil.correction.tables import TableSet
-from hil.effects.base import near_by_arrays
 from hil.records.made_with import MadeWith
 from hil.records.rows import UM_PER_MM, Floats
 from hil.records.zero import Zero
@@ -33,17 +31,19 @@ Columns = Mapping[str, Floats]
 LONG_STROKE_MM = 1e6
 """Stroke, mm, that winds the drive train up completely; used where the stroke before the first reversal is unknown."""
 
-_BESIDE_MM = (0.0, -SLOPE_OVER_MM / 2, SLOPE_OVER_MM / 2)
+BESIDE_MM = (0.0, -SLOPE_OVER_MM / 2, SLOPE_OVER_MM / 2)
 """From a target: where a command's correction is taken, the target first, so that its slope is known."""
 _CHECKED_MM = 0.1
 """Distance of the places where effects of position are held against the bound: a hundredth of a usual lead."""
+
+DIRECTION_UNKNOWN = "direction of arrival at {:g} mm is unknown: the axis has not moved since it was switched on"
 
 WOUND_SHARE = "wound_share"
 """Column: 0 after a full stroke in −, 1 after one in +; how far the drive train is wound up between the two."""
 
 
 class ErrorTerm(Protocol):
-    """An effect with its fitted parameters, as the engine needs it (`hil.effects`); a stream uses its `near_um`, if it has one."""
+    """An effect with its fitted parameters, as the engine needs it (`hil.effects`)."""
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -51,6 +51,12 @@ class ErrorTerm(Protocol):
 
     def error_um(self, columns: Columns) -> Floats:
         """The error the effect causes, µm, shape (n,)."""
+
+
+def rows_at(places_mm: Sequence[float], row: Mapping[str, float]) -> dict[str, Floats]:
+    """Columns of one row for each place, everything else as in the row."""
+    columns = {name: np.full(len(places_mm), value, dtype=np.float64) for name, value in row.items()}
+    return {**columns, "target_mm": np.array(places_mm, dtype=np.float64)}
 
 
 def fits_in_a_table(term: ErrorTerm) -> bool:
@@ -79,6 +85,15 @@ class MotionHistory:
     def stroke_or_long_mm(self) -> float:
         """The stroke before the last reversal, mm; `LONG_STROKE_MM` where there was none."""
         return LONG_STROKE_MM if self.stroke_mm is None else self.stroke_mm
+
+    def columns(self) -> dict[str, float]:
+        """What the terms read of it, by column; the direction has to be known."""
+        return {
+            "target_mm": self.position_mm,
+            "direction": float(self.direction),
+            "since_reversal_mm": self.since_reversal_mm,
+            "stroke_mm": self.stroke_or_long_mm,
+        }
 
     def moved_to(self, target_mm: float) -> MotionHistory:
         """The history after a straight motion to a target; a motion of no length changes nothing."""
@@ -142,13 +157,17 @@ class Compensation:
         columns: `target_mm`, `direction` and what the terms need, each of shape (n,).
         Raises StateError when a term needs a column that is not there.
         """
-        missing = [name for name in sorted(self.needs) if name not in columns]
-        if missing:
-            raise StateError(f"the model in force needs {', '.join(missing)}, which this set-up does not provide")
+        self.require(columns)
         correction = self._of_tables_um(columns)
         for term in self.terms:
             correction = correction - term.error_um(columns)
         return correction
+
+    def require(self, columns: Iterable[str]) -> None:
+        """Raises StateError when a term needs a column that is not among these."""
+        missing = sorted(self.needs.difference(columns))
+        if missing:
+            raise StateError(f"the model in force needs {', '.join(missing)}, which this set-up does not provide")
 
     def check(self, bound: CorrectionBound, what: str) -> None:
         """Hold against a bound what is known without the machine: the tables, with the effects of position and direction alone.
@@ -187,44 +206,6 @@ class Compensation:
         plus, minus = (self.tables.correction_um(columns["target_mm"], sign) for sign in (1, -1))
         return np.asarray(minus + columns[WOUND_SHARE] * (plus - minus), dtype=np.float64)
 
-    @cached_property
-    def _curves(self) -> tuple[list[float], list[float], list[float]]:
-        """The tables' nodes, mm, and their corrections there in direction + and −, µm: between nodes they are straight."""
-        nodes = self.tables.nodes_mm
-        plus, minus = (self.tables.correction_um(nodes, sign).tolist() for sign in (1, -1))
-        return nodes.tolist(), plus, minus
-
-    def _near_um(self, row: Mapping[str, float], targets_mm: Sequence[float]) -> list[float]:
-        """`correction_um` at these targets, everything else as in the row, without arrays where the terms allow it.
-
-        A stream asks at every set-point. Raises as `correction_um`.
-        """
-        for name in self.needs:
-            if name not in row:
-                self.correction_um({name: np.array([value]) for name, value in row.items()})  # raises what is missing
-        nodes, plus, minus = self._curves
-        share = row[WOUND_SHARE] if self.rise is not None else 1.0 if row["direction"] > 0 else 0.0
-        found = []
-        for target_mm in targets_mm:
-            after = bisect_right(nodes, target_mm)
-            if after == 0 or after == len(nodes):
-                at = 0 if after == 0 else -1
-                low, high = minus[at], plus[at]
-            else:
-                before = after - 1
-                part = (target_mm - nodes[before]) / (nodes[after] - nodes[before])
-                low = minus[before] + part * (minus[after] - minus[before])
-                high = plus[before] + part * (plus[after] - plus[before])
-            found.append(low + share * (high - low))
-        for near_um in self._near_terms:
-            found = [whole - part for whole, part in zip(found, near_um(row, targets_mm), strict=True)]
-        return found
-
-    @cached_property
-    def _near_terms(self) -> tuple[Callable[[Mapping[str, float], Sequence[float]], list[float]], ...]:
-        """Of each term the error at some targets: its own `near_um` where it has one."""
-        return tuple(getattr(term, "near_um", partial(near_by_arrays, term)) for term in self.terms)
-
     def command(
         self,
         target_mm: float,
@@ -245,21 +226,13 @@ class Compensation:
             raise InputError(f"target is {target_mm} mm, expected a finite position")
         after = history.moved_to(target_mm)
         if after.direction == 0:
-            raise StateError(
-                f"direction of arrival at {target_mm:g} mm is unknown: the axis has not moved since it was switched on"
-            )
-        values = dict(known)
-        values.update(
-            target_mm=target_mm,
-            direction=float(after.direction),
-            since_reversal_mm=after.since_reversal_mm,
-            stroke_mm=after.stroke_or_long_mm,
-        )
+            raise StateError(DIRECTION_UNKNOWN.format(target_mm))
+        values = {**known, **after.columns()}
         if self.rise is not None:
             by = after if actual is None or actual.direction == 0 else actual
             values[WOUND_SHARE] = wound_share(self.rise, by.position_mm, by.direction, by.turns_mm)
-        near_mm = [target_mm + beside for beside in _BESIDE_MM]
-        near_um = self._near_um(values, near_mm)
+        near_mm = [target_mm + beside for beside in BESIDE_MM]
+        near_um = self.correction_um(rows_at(near_mm, values)).tolist()
         bound.check_command(after.direction, near_mm, near_um)
         correction_um = near_um[0]
         return Command(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)

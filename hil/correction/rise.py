@@ -20,6 +20,8 @@ from hil.correction.published_rise import TwoTanh
 
 Floats = NDArray[np.float64]
 
+_SETTLED = 40.0
+"""Lengths after which 1 - exp is 1 in double precision, tanh after half of them: exp(-40) is 4e-18, and 1 - 2^-54 rounds to 1."""
 FULL_UM = 1e-9
 """Amount below which lost motion counts as none, µm."""
 
@@ -40,12 +42,14 @@ class Shape:
     """A way to rise: `columns(travel_mm, lengths_mm)` gives one column for each amount, 0 at travel 0; `rises` lengths come first.
 
     at: the sum of amounts times columns at one travel, quickly, for a stream that asks at every set-point.
+    settled_mm: travel from which `at` gives the sum of the amounts to the last bit.
     knots: so many lengths are fixed places, evenly spread in their logarithm over the travel that was measured, and not searched.
     """
 
     name: str
     columns: Callable[[Floats, Sequence[float]], Floats]
     at: Callable[[float, Sequence[float], Sequence[float]], float]
+    settled_mm: Callable[[Sequence[float]], float]
     rises: int = 0
     onsets: int = 0
     knots: int = 0
@@ -56,8 +60,13 @@ def _two_tanh(s: Floats, lengths: Sequence[float]) -> Floats:
 
 
 def _two_tanh_at(s: float, lengths: Sequence[float], amounts: Sequence[float]) -> float:
-    late = max(s - lengths[2], 0.0)
-    return amounts[0] * math.tanh(s / lengths[0]) + amounts[1] * math.tanh(late / lengths[1])
+    first_mm, second_mm, onset_mm = lengths
+    early = amounts[0] * math.tanh(s / first_mm)
+    return early if s <= onset_mm else early + amounts[1] * math.tanh((s - onset_mm) / second_mm)
+
+
+def _two_tanh_settled(lengths: Sequence[float]) -> float:
+    return max(_SETTLED / 2 * lengths[0], lengths[2] + _SETTLED / 2 * lengths[1])
 
 
 def _straight_pieces(s: Floats, lengths: Sequence[float]) -> Floats:
@@ -75,26 +84,36 @@ def _straight_pieces_at(s: float, lengths: Sequence[float], amounts: Sequence[fl
     return sum(amounts[:k]) + amounts[k] * (s - start) / (lengths[k] - start)
 
 
-TWO_TANH = Shape("two tanh", _two_tanh, _two_tanh_at, rises=2, onsets=1)
+TWO_TANH = Shape(
+    "two tanh",
+    _two_tanh,
+    _two_tanh_at,
+    _two_tanh_settled,
+    rises=2,
+    onsets=1,
+)
 TANH = Shape(
     "tanh",
     lambda s, lengths: np.tanh(s / lengths[0])[:, None],
     lambda s, lengths, amounts: amounts[0] * math.tanh(s / lengths[0]),
+    lambda lengths: _SETTLED / 2 * lengths[0],
     rises=1,
 )
 EXPONENTIAL = Shape(
     "exponential",
     lambda s, lengths: -np.expm1(-s / lengths[0])[:, None],
     lambda s, lengths, amounts: -amounts[0] * math.expm1(-s / lengths[0]),
+    lambda lengths: _SETTLED * lengths[0],
     rises=1,
 )
 DEAD_ZONE = Shape(
     "dead zone",
     lambda s, lengths: np.minimum(s / lengths[0], 1.0)[:, None],
     lambda s, lengths, amounts: amounts[0] * min(s / lengths[0], 1.0),
+    lambda lengths: lengths[0],
     rises=1,
 )
-STRAIGHT_PIECES = Shape("straight pieces", _straight_pieces, _straight_pieces_at, knots=16)
+STRAIGHT_PIECES = Shape("straight pieces", _straight_pieces, _straight_pieces_at, lambda lengths: lengths[-1], knots=16)
 SHAPES = (TWO_TANH, TANH, EXPONENTIAL, DEAD_ZONE)
 """The smooth shapes of the literature, and the dead zone as the reference that they must improve on."""
 RUNNABLE = (*SHAPES, STRAIGHT_PIECES)
@@ -133,6 +152,11 @@ class Rise:
     def risen_um(self, travel_mm: float) -> float:
         """What has come back after this much travel since the reversal that ended a full stroke, 0 … `amount_um`."""
         return self.shape.at(travel_mm, self.lengths_mm, self.amounts_um)
+
+    @property
+    def settled_mm(self) -> float:
+        """Travel from which `risen_um` is `amount_um` to the last bit."""
+        return self.shape.settled_mm(self.lengths_mm)
 
     def along_um(self, travel_mm: Floats) -> Floats:
         """`risen_um` for many travels, shape (n,), mm; returns µm, shape (n,)."""

@@ -10,8 +10,8 @@ The state consists of the places of the reversals alone; the form is used only t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from drivers.errors import InputError
 from hil.correction.rise import FULL_UM, Rises
@@ -33,22 +33,32 @@ def remembered(turns: Turns, position_mm: float, arrived_by: int, target_mm: flo
     return turns
 
 
-def wound_um(form: Rises, position_mm: float, direction: int, turns: Turns) -> float:
-    """0 after a full stroke in −, `form.amount_um` after one in +, between them otherwise."""
+def wound_at_turn_um(form: Rises, direction: int, turns: Turns) -> float:
+    """The wind-up at the last of the turns, from which the motion goes on in this direction; without one, where it stays."""
     sign = direction if len(turns) % 2 == 0 else -direction  # of the full stroke that the oldest turn ended
     wound = form.amount_um if sign > 0 else 0.0
-    places: Sequence[float] = (*turns, position_mm)
-    for start, end in zip(turns, places[1:], strict=True):
+    for start, end in pairwise(turns):
         sign = -sign
         wound += sign * form.risen_um(abs(end - start))
     return wound
+
+
+def wound_um(form: Rises, position_mm: float, direction: int, turns: Turns) -> float:
+    """0 after a full stroke in −, `form.amount_um` after one in +, between them otherwise."""
+    wound = wound_at_turn_um(form, direction, turns)
+    return wound + direction * form.risen_um(abs(position_mm - turns[-1])) if turns else wound
+
+
+def share_of(wound: float, amount_um: float) -> float:
+    """A wind-up as a share of the whole, 0 … 1."""
+    return min(1.0, max(0.0, wound / amount_um))
 
 
 def wound_share(form: Rises, position_mm: float, direction: int, turns: Turns) -> float:
     """`wound_um` as a share of the whole, 0 … 1: 0 at the correction of the - direction, 1 at that of the + direction."""
     if form.amount_um < FULL_UM:
         return 1.0 if direction > 0 else 0.0
-    return min(1.0, max(0.0, wound_um(form, position_mm, direction, turns) / form.amount_um))
+    return share_of(wound_um(form, position_mm, direction, turns), form.amount_um)
 
 
 @dataclass(frozen=True)

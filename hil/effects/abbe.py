@@ -63,6 +63,9 @@ class Abbe(Effect):
             return np.column_stack([tilt, u * tilt])
         raise KeyError(form.name)
 
+    def is_straight(self, form: Form) -> bool:
+        return form.name not in SECOND_OFFSET
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if term.form.name in SECOND_OFFSET:
             return {"arm_mm": term.nonlinear(0), "tilt_to_the_end_urad": term.coefficient(1)}

@@ -36,6 +36,9 @@ class AirIndex(Effect):
         excess = excess_ppm(form.inputs[:-1], form.constants, columns)
         return np.asarray(columns["target_mm"] * excess * UM_PER_MM_PPM)[:, None]
 
+    def is_straight(self, form: Form) -> bool:
+        return True
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         return {"uncompensated_share": term.coefficient(0)}
 

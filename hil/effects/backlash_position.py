@@ -49,6 +49,9 @@ class BacklashPosition(Effect):
             return np.column_stack([d * u, d * u**2])
         return np.asarray(d[:, None] * legendre.legvander(np.clip(u, -1.1, 1.1), ORDERS[form.name])[:, 1:])
 
+    def is_straight(self, form: Form) -> bool:
+        return form.name == LINEAR
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if term.form.name in ORDERS:
             odd = np.array([4.0 * (i % 2 == 0) for i in range(len(term.coefficients))])  # P_i(1) - P_i(-1), both sides

@@ -30,6 +30,8 @@ MOST_UNSURE = 0.5
 """Relative standard deviation up to which a positive parameter is given as a value; beyond it its interval of two of them would
 hold zero, and it is given as the bounds that the rows do determine.
 """
+_APART_MM = 1000.0
+"""Distance of the two places that a straight error is taken at: of the size of a travel, so that its slope loses no digits."""
 STEP = 1e-4
 """Relative step of a central difference: its error is the square of it."""
 Floats = NDArray[np.float64]
@@ -77,6 +79,22 @@ class NonLinear:
             return 0.0
         middle, spread = self.usual
         return -0.5 * (math.log(value / middle) / spread) ** 2
+
+
+@dataclass(frozen=True)
+class Wave:
+    """at_um: an effect's error over the place in mm; steepest: its largest slope, µm/mm, infinite where it is not known."""
+
+    at_um: Callable[[float], float]
+    steepest: float
+
+
+@dataclass(frozen=True)
+class Straight:
+    """An effect's error, straight over the place: at 0 mm, µm, and its slope, µm/mm."""
+
+    at_zero_um: float
+    slope: float
 
 
 @dataclass(frozen=True)
@@ -157,10 +175,16 @@ class Effect(ABC):
         """
         return np.hstack([self.basis(form, theta, columns) for theta in thetas])
 
-    def scalar_um(
+    def is_straight(self, form: Form) -> bool:
+        """Whether the error is straight along the axis, everything but `target_mm` as it is. Then two places tell a stream of all."""
+        return "target_mm" not in form.inputs
+
+    def wave(
         self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
-    ) -> float | None:
-        """The error of one row, µm: `basis` times coefficients without arrays, for streams. None: only `basis` can give it."""
+    ) -> Wave | None:
+        """`basis` times coefficients as a function of the place, everything else as in the row; for streams. None: only `basis`
+        can give it.
+        """
         del form, theta, coefficients, row
         return None
 
@@ -227,17 +251,16 @@ class Term:
         basis = self.effect.basis(self.form, self.theta, columns)
         return np.asarray(basis @ np.array(self.coefficients), dtype=np.float64)
 
-    def near_um(self, row: Mapping[str, float], targets_mm: Sequence[float]) -> list[float]:
-        """The error at these targets, µm, everything else as in the row. Raises InputError as `error_um`."""
-        place, found = dict(row), []
-        if all(name in row and math.isfinite(row[name]) for name in self.needs):
-            for target_mm in targets_mm:
-                place["target_mm"] = target_mm
-                one = self.effect.scalar_um(self.form, self.theta, self.coefficients, place)
-                if one is None:
-                    break
-                found.append(one)
-        return found if len(found) == len(targets_mm) else near_by_arrays(self, row, targets_mm)
+    def along(self, row: Mapping[str, float]) -> Straight | Wave | None:
+        """The error as a function of the place, everything else as in the row; None where only arrays can give it.
+
+        Raises InputError as `error_um`.
+        """
+        columns = {name: np.full(2, value) for name, value in row.items()} | {"target_mm": np.array([0.0, _APART_MM])}
+        at_zero_um, there_um = self.error_um(columns).tolist()
+        if self.effect.is_straight(self.form):
+            return Straight(at_zero_um, (there_um - at_zero_um) / _APART_MM)
+        return self.effect.wave(self.form, self.theta, self.coefficients, row)
 
     @property
     def parameters(self) -> dict[str, Estimate]:
@@ -328,18 +351,6 @@ class Term:
             "coefficients": list(self.coefficients),
             "covariance": [list(row) for row in self.covariance],
         }
-
-
-class HasError(Protocol):
-    """Something that gives an error for columns."""
-
-    def error_um(self, columns: Columns) -> Floats: ...
-
-
-def near_by_arrays(term: HasError, row: Mapping[str, float], targets_mm: Sequence[float]) -> list[float]:
-    """The error of a term at these targets, µm, everything else as in the row."""
-    columns = {name: np.full(len(targets_mm), value, dtype=np.float64) for name, value in row.items()}
-    return [float(one) for one in term.error_um({**columns, "target_mm": np.array(targets_mm, dtype=np.float64)})]
 
 
 class Parametrised(Protocol):

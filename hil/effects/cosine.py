@@ -48,6 +48,9 @@ class Cosine(Effect):
             return np.asarray(np.where(columns["setup"] == FIRST_SETUP, scale, 0.0))[:, None]
         raise KeyError(form.name)
 
+    def is_straight(self, form: Form) -> bool:
+        return True
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         scale = term.coefficient(0)
         if scale.value <= 2.0 * scale.std:  # an angle whose square may be zero has a bound and no value

@@ -46,6 +46,9 @@ class CrossAxis(Effect):
         columns_of = {OFFSET: [y], ALONG: [u * y], BOTH: [y, u * y], CURVED: [y, bend]}
         return np.column_stack(columns_of[form.name])
 
+    def is_straight(self, form: Form) -> bool:
+        return True
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         names = {
             OFFSET: ["slope_um_per_m"],

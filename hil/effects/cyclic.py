@@ -13,13 +13,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
+from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term, Wave
 from hil.effects.survey import Survey
 
 FUNDAMENTAL = "fundamental"
 HARMONICS = "with second harmonic"
 MODULATED = "amplitude changing along the travel"
 PER_DIRECTION = "different in each direction"
+WAVES = {FUNDAMENTAL: 2, HARMONICS: 4, MODULATED: 4, PER_DIRECTION: 4}
+"""Columns of the basis: a sine and a cosine, once or twice."""
 
 LINES = 1500
 """Most frequencies of the even scan."""
@@ -81,35 +83,33 @@ class Cyclic(Effect):
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
         x = columns["target_mm"][:, None]
         angle = 2 * np.pi * x / np.array(thetas)[:, 0]
-        waves = [np.sin(angle), np.cos(angle)]
+        waves = np.empty((*angle.shape, WAVES[form.name]))
+        np.sin(angle, out=waves[..., 0])
+        np.cos(angle, out=waves[..., 1])
         if form.name == HARMONICS:
-            waves += [np.sin(2 * angle), np.cos(2 * angle)]
+            np.sin(2 * angle, out=waves[..., 2])
+            np.cos(2 * angle, out=waves[..., 3])
         elif form.name == MODULATED:
             u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-            waves += [u * wave for wave in waves]
+            np.multiply(u[..., None], waves[..., :2], out=waves[..., 2:])
         elif form.name == PER_DIRECTION:
-            waves += [columns["direction"][:, None] * wave for wave in waves]
-        elif form.name != FUNDAMENTAL:
-            raise KeyError(form.name)
-        return np.stack(waves, axis=2).reshape(len(angle), -1)
+            np.multiply(columns["direction"][:, None, None], waves[..., :2], out=waves[..., 2:])
+        return waves.reshape(len(angle), -1)
 
-    def scalar_um(
+    def wave(
         self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
-    ) -> float | None:
-        angle = 2 * math.pi * row["target_mm"] / theta[0]
-        sine, cosine = math.sin(angle), math.cos(angle)
-        total = coefficients[0] * sine + coefficients[1] * cosine
+    ) -> Wave | None:
+        per_mm = 2 * math.pi / theta[0]
+        (sine, cosine), more = coefficients[:2], coefficients[2:]
         if form.name == FUNDAMENTAL:
-            return total
+            return _wave(per_mm, sine, cosine)
+        if form.name == PER_DIRECTION:
+            return _wave(per_mm, sine + row["direction"] * more[0], cosine + row["direction"] * more[1])
+        first, second = _wave(per_mm, sine, cosine), _wave(per_mm * (2 if form.name == HARMONICS else 1), *more)
         if form.name == HARMONICS:
-            return total + coefficients[2] * math.sin(2 * angle) + coefficients[3] * math.cos(2 * angle)
-        if form.name == MODULATED:
-            factor = (row["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-        elif form.name == PER_DIRECTION:
-            factor = row["direction"]
-        else:
-            raise KeyError(form.name)
-        return total + factor * (coefficients[2] * sine + coefficients[3] * cosine)
+            return Wave(lambda x: first.at_um(x) + second.at_um(x), first.steepest + second.steepest)
+        centre, half_span = form.constants["centre_mm"], form.constants["half_span_mm"]
+        return Wave(lambda x: first.at_um(x) + (x - centre) / half_span * second.at_um(x), math.inf)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"period_mm": period_mm(term), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
@@ -129,6 +129,12 @@ class Cyclic(Effect):
             f"The error repeats every {period_mm(term)} mm of travel with an amplitude of"
             f" {term.amplitude(0, 1)} µm{extra}: a part that turns or divides with that period is eccentric or misadjusted."
         )
+
+
+def _wave(per_mm: float, sine: float, cosine: float) -> Wave:
+    """sine · sin(per_mm · x) + cosine · cos(per_mm · x), as one sine."""
+    size, phase, sin = math.hypot(sine, cosine), math.atan2(cosine, sine), math.sin
+    return Wave(lambda x: size * sin(per_mm * x + phase), per_mm * size)
 
 
 def period_mm(term: Term) -> Estimate:

@@ -58,6 +58,9 @@ class LoadDeflection(Effect):
         }
         return np.column_stack(columns_of[form.name])
 
+    def is_straight(self, form: Form) -> bool:
+        return True
+
     def parameters(self, term: Term) -> dict[str, Estimate]:
         unit = "kg" if term.form.inputs[0] == "load_kg" else "percent"
         names = {

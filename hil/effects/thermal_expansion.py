@@ -8,7 +8,7 @@ screw or scale is held (a bearing at the far end, a home in mid-travel), which i
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -19,7 +19,6 @@ from hil.effects.survey import Survey
 from hil.effects.warming import (
     ABOUT_A_POINT,
     REFERENCE_C,
-    TEMPERATURE,
     is_about_a_point,
     is_since_start,
     rise,
@@ -65,14 +64,8 @@ class ThermalExpansion(Effect):
         grown = x[:, None] * risen
         return np.hstack([grown, risen]) if is_about_a_point(form) else np.asarray(grown)
 
-    def scalar_um(
-        self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
-    ) -> float | None:
-        if form.name not in (TEMPERATURE, TEMPERATURE + ABOUT_A_POINT):
-            return None
-        risen = row[form.inputs[0]] - REFERENCE_C
-        about = coefficients[1] * risen if is_about_a_point(form) else 0.0
-        return coefficients[0] * row["target_mm"] * UM_PER_MM_PPM * risen + about
+    def is_straight(self, form: Form) -> bool:
+        return True
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:

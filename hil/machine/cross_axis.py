@@ -15,6 +15,7 @@ from drivers.errors import StateError
 from drivers.undo import undo_all
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Command, Compensation, MotionHistory
+from hil.correction.streamed import StreamedCorrection
 from hil.correction.tables import TableSet
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.set_points import CommandState
@@ -149,6 +150,15 @@ class CrossAxis:
         Raises StateError before `get_ready` and after a stop, CorrectionBoundError beyond this axis's bound.
         """
         return self.state.command(self.at_mm, {"time_s": time_s, "velocity_mm_s": 0.0}, across_um=across_um)
+
+    def set_points(self, time_s: float) -> StreamedCorrection:
+        """Begin a stream beside that of the moving axis. Raises as `command`."""
+        return self.state.stream({"time_s": time_s, "velocity_mm_s": 0.0})
+
+    def set_point(self, points: StreamedCorrection, across_um: float, time_s: float) -> float:
+        """The next command of such a stream, mm, as `command` gives it."""
+        points.known["time_s"] = time_s
+        return points.command_mm(self.at_mm, across_um)
 
     def unchanged(self, command: Command) -> bool:
         """Whether it stands there already."""

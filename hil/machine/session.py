@@ -24,6 +24,7 @@ from drivers.undo import undo_all
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command, Compensation, MotionHistory
+from hil.correction.streamed import StreamedCorrection
 from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
 from hil.machine.cross_axis import CrossAxis
@@ -415,10 +416,10 @@ class AxisSession:
         Where straightness moves another axis, that axis gets its set-point in the same period. Raises LimitError for a target outside
         the travel, CapabilityError for axes that cannot stream together, and what the stream raises; any error stops the axes.
         """
-        known = self.known_for_commands()
+        points = self.set_points()
         cross = self._cross_in_use
         if cross is not None:
-            self._stream_with(cross, path_mm, settings, at, known)
+            self._stream_with(cross, path_mm, settings, at, points)
             return
         with (
             self.supervisor.stopping_on_error(),
@@ -426,9 +427,8 @@ class AxisSession:
             self.drive.stream(settings) as stream,
         ):
             for target_mm, velocity_mm_s in path_mm:
-                command = self.set_point(target_mm, velocity_mm_s, known)
-                place_mm = stream.cycle(command.command_mm)
-                self.command_state.issued(command)
+                place_mm = stream.cycle(self.set_point(points, target_mm, velocity_mm_s))
+                points.issued()
                 self.command_state.found_at(place_mm)
                 found(*stream.found, velocity_mm_s)
                 at(stream)
@@ -439,8 +439,9 @@ class AxisSession:
         path_mm: Iterable[tuple[float, float]],
         settings: SetPointSettings,
         at: Callable[[SetPointStream], None],
-        known: dict[str, float],
+        points: StreamedCorrection,
     ) -> None:
+        across = cross.set_points(self.elapsed_s())
         with (
             self.supervisor.stopping_on_error(),
             self.axis.following() as found,
@@ -449,12 +450,12 @@ class AxisSession:
         ):
             own = FirstOfGroup(group)
             for target_mm, velocity_mm_s in path_mm:
-                command = self.set_point(target_mm, velocity_mm_s, known)
-                across = self._across(cross, command)
-                place_mm, _ = group.cycle([command.command_mm, across.command_mm])
-                self.command_state.issued(command)
+                command_mm = self.set_point(points, target_mm, velocity_mm_s)
+                across_um = self.across_um(target_mm, cross.name)
+                place_mm, _ = group.cycle([command_mm, cross.set_point(across, across_um, self.elapsed_s())])
+                points.issued()
                 self.command_state.found_at(place_mm)
-                cross.state.issued(across)
+                across.issued()
                 found(*group.found[0], velocity_mm_s)
                 found_across(*group.found[1], velocity_mm_s)
                 at(own)
@@ -465,18 +466,27 @@ class AxisSession:
             return 0.0
         return float(self.compensation.tables.cross_correction_um(target_mm, other))
 
-    def set_point(
-        self, target_mm: float, velocity_mm_s: float, known: dict[str, float], *, across_um: float = 0.0
-    ) -> Command:
-        """Command for one set-point of a stream, with the correction in force. target_mm, velocity_mm_s: at this period; across_um:
-        what other axes add for their straightness.
+    def set_points(self) -> StreamedCorrection:
+        """Begin a stream of set-points with the correction in force and the sensors' values of this moment.
 
-        The caller reports it to `command_state.issued` once the drive has it. Raises LimitError for a target outside the travel.
+        Raises StateError while bridge and drive both correct, and as `CommandState.stream`.
+        """
+        return self.command_state.stream(self.known_for_commands())
+
+    def set_point(
+        self, points: StreamedCorrection, target_mm: float, velocity_mm_s: float, *, across_um: float = 0.0
+    ) -> float:
+        """The command, mm, for the next set-point of a stream. target_mm, velocity_mm_s: at this period; across_um: what other axes
+        add for their straightness.
+
+        The caller reports it by `points.issued` once the drive has it. Raises LimitError for a target outside the travel, and as
+        `StreamedCorrection.command_mm`.
         """
         self.drive.limits.check_target(target_mm)
-        known["velocity_mm_s"] = velocity_mm_s
-        known["time_s"] = self.elapsed_s() + self.time_offset_s
-        return self.command_state.command(target_mm, known, across_um=across_um, streamed=True)
+        if points.follows_motion:
+            points.known["velocity_mm_s"] = velocity_mm_s
+            points.known["time_s"] = self.elapsed_s() + self.time_offset_s
+        return points.command_mm(target_mm, across_um)
 
     @property
     def history(self) -> MotionHistory | None:

@@ -20,6 +20,7 @@ from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.search.structure import structures
 from hil.effects import ALL, Action, Effect, Form, Survey, Term, survey_of, term_from_json
+from hil.effects.base import Straight, Wave
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric
 from hil.effects.user_effects import catalogue_with, effects_of_file
@@ -157,21 +158,31 @@ def test_it_reads_only_what_it_says_and_only_the_past(subject: Subject, form: Fo
     np.testing.assert_allclose(first, whole[:1], rtol=0, atol=1e-9)
 
 
-def test_single_targets_are_as_rows(subject: Subject, form: Form) -> None:
-    """A stream asks for some targets at once, without arrays where the effect can; for a form of history each by itself."""
+def test_over_the_place_it_is_as_rows_are(subject: Subject, form: Form) -> None:
+    """A stream asks once for the error over the place: straight where the effect says so, else a wave with its steepest slope."""
     term = term_of(subject, form)
+    places = np.concatenate([np.linspace(-3.0, 420.0, 500), 200.0 + np.linspace(0.0, 0.1, 200)])
     for at in (0, subject.survey.rows // 2):
-        row = {name: float(subject.columns[name][at]) for name in {*form.inputs, "target_mm", "direction"}}
-        for target_mm in (row["target_mm"], -3.0, 120.5):
-            columns = {name: np.array([value]) for name, value in row.items()} | {"target_mm": np.array([target_mm])}
-            (expected,) = term.error_um(columns).tolist()
-            assert term.near_um(row, [target_mm]) == pytest.approx([expected], rel=1e-9, abs=1e-9)
-    lacking = {name: value for name, value in row.items() if name != form.inputs[0]}
-    if form.inputs[0] != "target_mm":
-        with pytest.raises(InputError, match=form.inputs[0]):
-            term.near_um(lacking, [1.0])
-        with pytest.raises(InputError, match=form.inputs[0]):
-            term.near_um(row | {form.inputs[0]: math.nan}, [1.0])
+        row = {name: float(subject.columns[name][at]) for name in {*form.inputs, "direction"}}
+        each = [
+            {name: np.array([value]) for name, value in row.items()} | {"target_mm": place[None]} for place in places
+        ]
+        expected = np.array(
+            [term.error_um(columns)[0] for columns in each]
+        )  # each alone: a form of history is not that of the rest
+        along = term.along(row)
+        if isinstance(along, Straight):
+            np.testing.assert_allclose(along.at_zero_um + along.slope * places, expected, rtol=1e-9, atol=1e-9)
+        elif isinstance(along, Wave):
+            np.testing.assert_allclose(
+                [along.at_um(place) for place in places.tolist()], expected, rtol=1e-9, atol=1e-9
+            )
+            assert np.max(np.abs(np.diff(expected) / np.diff(places))) <= along.steepest * (1.0 + 1e-9)
+    for name in set(form.inputs) - {"target_mm"}:
+        with pytest.raises(InputError, match=name):
+            term.along({key: value for key, value in row.items() if key != name})
+        with pytest.raises(InputError, match=name):
+            term.along(row | {name: math.nan})
 
 
 def test_it_survives_the_model_file_and_says_what_it_is(subject: Subject, form: Form) -> None:

@@ -225,29 +225,35 @@ class Shift:
         """Follow the path, from where the axis stands; it is reached by and by, as the path went on meanwhile."""
         account, state, listener = self.account, self.state, self.listener
         behind_mm = from_mm - path_mm(self.clock.now_ns() * 1e-9)
+        known = {
+            "temp_screw_c": 22.0 + 3.0 * sin(self.clock.now_ns() * 1e-9 / 2000.0),
+            "time_s": 0.0,
+            "velocity_mm_s": 7.0,
+        }
+        points = state.stream(known)
         with CyclicStream([drive], StreamSettings(PERIOD_S, following_error_mm=5.0)) as stream:
             while (now_s := self.clock.now_ns() * 1e-9) < self.seconds:
                 behind_mm *= 0.98
                 target_mm = path_mm(now_s + PERIOD_S) + behind_mm
-                known = {"temp_screw_c": 22.0 + 3.0 * sin(now_s / 2000.0), "time_s": now_s, "velocity_mm_s": 7.0}
-                command = state.command(target_mm, known, streamed=True)
+                known["time_s"] = now_s
+                command_mm = points.command_mm(target_mm)
                 before = listener.feedback
                 account.cycles += 1
                 try:
-                    (feedback,) = stream.cycle([command.command_mm])
+                    (feedback,) = stream.cycle([command_mm])
                 except BaseException:
                     account.ended += 1
                     account.spare_feedback += listener.feedback - before
                     raise
-                state.issued(command)
+                points.issued()
                 came = listener.feedback - before
                 account.late += feedback.late
                 account.fresh += not feedback.late
                 account.spare_feedback += came if feedback.late else max(0, came - 1)
                 account.missing_feedback += not feedback.late and came == 0
-                account.unlike += listener.set_point_counts != round(command.command_mm * COUNTS_PER_MM)
+                account.unlike += listener.set_point_counts != round(command_mm * COUNTS_PER_MM)
                 if stream.counters.cycles % JOURNALED_EVERY == 0:
-                    self._journal(command.target_mm, command.command_mm, feedback.position_load_mm, now_s)
+                    self._journal(target_mm, command_mm, feedback.position_load_mm, now_s)
 
     def _journal(self, target_mm: float, command_mm: float, measured_mm: float, time_s: float) -> None:
         history = self.state.known_history

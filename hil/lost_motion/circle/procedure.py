@@ -153,7 +153,7 @@ def _stream(
         times.find_arrival()
     seconds = round(circle.duration_s)
     every = max(1, round(_REPORT_EVERY_S / period_s))
-    known = [axis.known_for_commands() for axis in axes]
+    points = [axis.set_points() for axis in axes]
     first, others = axes[0], [axis.drive for axis in axes[1:]]
     with ExitStack() as stack:
         stack.enter_context(first.supervisor.stopping_on_error())
@@ -161,13 +161,13 @@ def _stream(
         stream = stack.enter_context(first.drive.stream_with(others, SetPointSettings(period_s)))
         for index, (targets, feed) in enumerate(circle.path(period_s)):
             commands = [
-                axis.set_point(target, feed, values, across_um=across_um)
-                for axis, target, values, across_um in zip(axes, targets, known, _across_um(axes, targets), strict=True)
+                axis.set_point(own, target, feed, across_um=across_um)
+                for axis, own, target, across_um in zip(axes, points, targets, _across_um(axes, targets), strict=True)
             ]
-            places = stream.cycle([command.command_mm for command in commands])
+            places = stream.cycle(commands)
             now_ns = first.clock.now_ns()
-            for axis, command, rows, tell, place_mm in zip(axes, commands, samples, found, places, strict=True):
-                axis.command_state.issued(command)
+            for axis, own, rows, tell, place_mm in zip(axes, points, samples, found, places, strict=True):
+                own.issued()
                 axis.command_state.found_at(place_mm)
                 tell(now_ns, place_mm, feed)
                 rows.extend(axis.readings())

@@ -266,7 +266,7 @@ def test_a_sensor_that_jumps_moves_nothing() -> None:
         with pytest.raises(CorrectionBoundError, match="-60 µm at 40 mm"):
             session.move_to(40.0)
         with pytest.raises(CorrectionBoundError, match=r"-60 µm at 30\.01 mm"):  # a stream's
-            session.set_point(30.01, 1.0, session.known_for_commands())
+            session.set_point(session.set_points(), 30.01, 1.0)
         assert machine.motor_mm == before
 
 

@@ -30,12 +30,12 @@ def at_a_turn(*, by_estimate: bool) -> CommandState:
 
 def stream(state: CommandState, targets_mm: list[float], behind_mm: float) -> list[float]:
     """Corrections, µm, of a stream whose motor is behind the last command by so much."""
-    found = []
+    found, points = [], state.stream({})
     for target_mm in targets_mm:
-        command = state.command(target_mm, {}, streamed=True)
-        state.issued(command)
-        state.found_at(command.command_mm + behind_mm)
-        found.append(command.correction_um)
+        command_mm = points.command_mm(target_mm)
+        points.issued()
+        state.found_at(command_mm + behind_mm)
+        found.append(points.correction_um)
     return found
 
 
