@@ -359,6 +359,28 @@ def test_only_a_line_end_ends_a_row(write: Write, inside: str) -> None:
     refused(lambda: parse_csv(f"run,direction,target_mm,measured_mm\n1,1,0,0{inside}1,1,1,1\n"))
 
 
+@pytest.mark.parametrize(
+    ("radius", "sense", "angles"),
+    [
+        (1, 1, [0]),
+        (1, 1e400, [0, 1]),
+        (1, 2, [0, 1]),
+        (1e400, 1, [0, 1]),
+        (-1, 1, [0, 1]),
+        (1, 1, [[0, 1]]),
+        (1, 1, [0, 1e400]),
+    ],
+)
+def test_a_circle_of_wrong_values_is_refused(
+    write: Write, radius: float, sense: float, angles: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    circle = {"angle_deg": angles, "deviation_um": [0, 1]}
+    path = write(json.dumps({"radius_mm": radius, "sense": sense, "circles": {"a": circle}}))
+    path = path.rename(path.with_suffix(".json"))
+    assert main(["iso230-4", str(path)]) == 2
+    assert capsys.readouterr().err.endswith("is no result of `hil circle --json`\n")
+
+
 @pytest.mark.parametrize("inside", ["\u2028", "\x0b", "\x0c", "\x85"])
 def test_only_a_line_end_ends_a_point_of_a_circle(
     write: Write, inside: str, capsys: pytest.CaptureFixture[str]

@@ -100,10 +100,14 @@ def _driven(text: str, wanted: str | None) -> tuple[float, tuple[Floats, Floats]
         form: Any = parse_json(text)
         circles = form["circles"]
         name = wanted or list(circles)[-1]
-        radius, sense = float(form["radius_mm"]), int(form["sense"])
+        radius, sense = float(form["radius_mm"]), float(form["sense"])
         if name not in circles:
             raise InputError(f"holds no circle {name!r}, only {', '.join(circles)}")
         angle, deviation = (np.asarray(circles[name][key], dtype=np.float64) for key in ("angle_deg", "deviation_um"))
+        if sense not in (1.0, -1.0) or not 0.0 < radius < np.inf or angle.ndim != 1 or angle.shape != deviation.shape:
+            raise ValueError("values")
+        if not (np.isfinite(angle).all() and np.isfinite(deviation).all()):
+            raise ValueError("values")
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError("is no result of `hil circle --json`") from error
     return radius, _points(angle * sense, deviation, radius)
