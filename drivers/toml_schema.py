@@ -23,6 +23,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_
 
 import msgspec
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from drivers.toml_lines import Place, lines_of
 from drivers.toml_types import Key, Limits, SchemaError, Via
@@ -31,8 +32,9 @@ T = TypeVar("T")
 
 _SHOWN = 60  # characters of a wrong value that an error quotes
 _SHOWN_KEYS = 120  # characters of a list of keys in an error
-_LONGEST_KEY = re.compile(r"(?:[^\s.,=#\[\]{}]++[ \t]*+\.[ \t]*+){32}")
-"""A dotted key of more parts than any schema has: `tomllib` takes time with the square of their number."""
+_LONGEST_KEY = re.compile(r"(?<![^\s.,=#\[\]{}])(?:[^\s.,=#\[\]{}]++[ \t]*+\.[ \t]*+){32}")
+"""A dotted key of more parts than any schema has: `tomllib` takes time with the square of their number. It is looked for from the
+beginning of a part only: from every character, a number of 100,000 digits takes minutes."""
 MOST_BYTES = 4 << 20
 """Longest file that is read; the largest map shipped has 40 kB."""
 _UNITS = {
@@ -83,12 +85,7 @@ class Document:
     @classmethod
     def read(cls, path: str | Path) -> Document:
         """Read a file. Raises InputError naming file and line for one that cannot be read, is not UTF-8 or is not TOML."""
-        try:
-            data = Path(path).read_bytes()
-        except OSError as error:
-            raise InputError(f"cannot be read: {error.strerror}", path=path) from error
-        except ValueError as error:  # a NUL in the name
-            raise InputError(f"cannot be read: {error}", path=path) from error
+        data = read_bytes(path, MOST_BYTES)
         try:
             return cls(path, data.decode("utf-8"))
         except UnicodeDecodeError as error:

@@ -13,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from drivers.bounded_file import read_bytes
 from drivers.canopen.eds_text import (
     ARRAY,
     RECORD,
@@ -29,6 +30,8 @@ from drivers.canopen.pdo_lint import MappableObject
 from drivers.errors import InputError
 
 Key = tuple[int, int]
+MOST_BYTES = 1 << 24
+"""Longest file: a hundred times the largest of a maker that is known here."""
 MOST_DIGITS = 64
 """Most digits of a number: those of 64 bits written in binary."""
 _OCTAL = re.compile(r"^[+-]?0[0-9]+$")
@@ -119,7 +122,11 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
 
     Raises InputError for a file that cannot be read, holds no object at all, or a number of more than 64 digits.
     """
-    parsed = parse(decode_eds(Path(path)))
+    text = decode_eds(Path(path))
+    try:
+        parsed = parse(text)
+    except InputError as error:
+        raise InputError(error.what, path=path) from error
     if not any(object_number(name) for name in parsed.sections):
         raise InputError("holds no object, expected sections such as [1000]", path=path)
     commissioning = parsed.sections.get("DeviceComissioning", {})
@@ -141,10 +148,7 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
 
 def decode_eds(path: Path) -> str:
     """The text of a file in UTF-8, else Windows-1252, else Latin-1. Raises InputError for a file that cannot be read."""
-    try:
-        raw = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
+    raw = read_bytes(path, MOST_BYTES)
     for encoding in ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding)

@@ -11,6 +11,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from drivers.canopen.objects import DataType
+from drivers.errors import InputError
 
 TYPES = {data_type.code: data_type for data_type in DataType}
 OBJECT = re.compile(r"^([0-9a-f]{4})(?:sub([0-9a-f]{1,2}))?$", re.IGNORECASE)
@@ -30,6 +31,8 @@ TYPE_NAMES = {"BOOLEAN": 0x01, "REAL32": 0x08, "REAL64": 0x11, "VISIBLE_STRING":
 }
 ARRAY, RECORD = 0x08, 0x09
 MAX_COMPACT = 254
+MOST_MEMBERS = 1 << 14
+"""Most members of all compact arrays of a file: 25 bytes of text make 254 of them."""
 VALUES = ("DefaultValue", "ParameterValue")
 LONGEST_SHOWN = 40
 """Longest text of a file that a note repeats, characters."""
@@ -79,6 +82,7 @@ class EdsText:
 
     sections: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[Deviation] = field(default_factory=list)
+    compact_members: int = 0
 
     def note(self, place: str, kind: str, key: str = "", shown: str | None = None) -> None:
         """Add a note; shown: the file's text there."""
@@ -86,7 +90,7 @@ class EdsText:
 
 
 def parse(text: str) -> EdsText:
-    """Read any text; nothing is refused, each deviation leaves a note."""
+    """Read any text; each deviation leaves a note. Raises InputError where compact arrays have more than `MOST_MEMBERS` members."""
     parsed = _parse(text)
     _complete(parsed)
     return parsed
@@ -187,6 +191,9 @@ def _expand(name: str, keys: dict[str, str], parsed: EdsText) -> None:
     if not 0 < count <= MAX_COMPACT:
         parsed.note(f"[{name}]", "is no number of members, left out", "CompactSubObj", text)
         return
+    parsed.compact_members += count
+    if parsed.compact_members > MOST_MEMBERS:
+        raise InputError(f"holds compact arrays of more than {MOST_MEMBERS} members in all")
     names = parsed.sections.pop(f"{name}Name", {})
     values = parsed.sections.pop(f"{name}Value", {})
     shared = {key: value for key, value in keys.items() if key not in ("SubNumber", "ObjectType", "ParameterName")}

@@ -269,7 +269,7 @@ def _by_rule(number: str, words: int, rules: tuple[AddressRule, ...]) -> int:
             continue
         if rule.groups[0] <= group <= rule.groups[1]:
             return rule.first + group * rule.page + rule.step * index - (rule.high_word_before and words > 1)
-    raise SchemaError("address", f"is {number!r}, which no rule of [map] address_rules makes an address of")
+    raise SchemaError("address", f"is {number[:40]!r}, which no rule of [map] address_rules makes an address of")
 
 
 def _limits(value: tuple[float, float], _: Document) -> tuple[float, float]:

@@ -8,8 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
-from hil.records.files import parse_json, read_bytes, read_text
+from hil.records.files import parse_json, read_text
 
 STORED = ".diagnosis.json"
 """Suffix after the name of the diagnosed pass or passes."""

@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from hil.figures.iso230 import Iso230, iso230
-from hil.records.files import read_bytes, split_lines
+from hil.records.files import split_lines
 from hil.records.journal import BEGUN, CHAINED, MARKER, checksums, grew_from, read_purpose
 from hil.records.row_chain import order_written
 from hil.records.rows import Records, concatenate, parse_csv

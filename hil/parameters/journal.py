@@ -15,9 +15,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
-from hil.records.files import parse_json, read_bytes, sync_directory
+from hil.records.files import parse_json, split_lines, sync_directory
 
 
 class Phase(Enum):
@@ -174,7 +175,7 @@ def _read(path: Path) -> Download | None:
     """A journal; None for one whose first line is torn, as nothing was written to the drive then."""
     data = read_bytes(path)
     whole = data[: data.rfind(b"\n") + 1]
-    lines = whole.decode("utf-8", errors="replace").splitlines()
+    lines = split_lines(whole.decode("utf-8", errors="replace"))
     if not lines:
         return None
     try:

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError, StateError
 
 
@@ -32,14 +33,6 @@ def naming(path: str | Path) -> Iterator[None]:
         if error.path is not None:
             raise
         raise type(error)(error.what, path=path, line=error.line) from error
-
-
-def read_bytes(path: str | Path) -> bytes:
-    """The bytes of a file. Raises InputError naming it when it cannot be read."""
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
 
 
 def read_text(path: str | Path) -> str:

@@ -51,10 +51,12 @@ from hil.correction.tables import TableSet
 from hil.diagnosis.next.plans import read_plan
 from hil.diagnosis.stored import read_stored
 from hil.effects.model import Model
+from hil.figures.commands import iso230_4 as circles
 from hil.figures.history import read_pass
 from hil.parameters.formats import read_any
 from hil.parameters.journal import Journal
 from hil.parameters.set_file import read_set
+from hil.probe.machine_file import load_probe_machine
 from hil.records.files import parse_json
 from hil.records.journal import check_resumable, read_purpose
 from hil.records.made_with import MadeWith
@@ -128,6 +130,7 @@ DOWNLOAD = (
     b'"parameters":[["2000h:01","a","00","01",[]]]}\n{"phase":"proven"}\n{"phase":"end","ending":"new"}\n'
 )
 PLAN = b"run,direction,target_mm,overrun_mm,feed_mm_s,dwell_s,strokes_s,rest_s,load_kg\n1,+1,10,1,5,0,0,0,3\n2,-1,20,,,,,,\n"
+CIRCLE = b'{"radius_mm": 10, "sense": 1, "circles": {"a": {"angle_deg": [0, 90], "deviation_um": [0, 1]}}}'
 STORED = b'{"findings": [{"effect": "cyclic", "confidence": 0.9}], "drawn": {}, "noise_floor_um": null}'
 ZERO = (
     b'{"id": "0123", "axis": "X", "made": "2026-01-01T00:00:00+00:00", "drive": {}, "homes": true, "method": 1, "home_position_mm": 0.0,'  # noqa: E501
@@ -272,18 +275,34 @@ def _packed(*frames: tuple[int, str]) -> bytes:
     )
 
 
+class _Slave:
+    """A simulated drive, booted once: what one input leaves in it, the next one finds."""
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self.servo = SimulatedServo(BareShaft(), SMALL_SERVO)
+        self.slave = CanOpenSlave(self.servo, 5, self._sent)
+        self.slave.boot(0)
+
+    def _sent(self, cob_id: int, frame: bytes) -> None:
+        assert len(frame) <= 8, (cob_id, frame)
+
+    def run(self, data: bytes) -> None:
+        for cob_id, frame in _frames(data):
+            self.now_ns += 1_000_000
+            self.slave.on_frame(cob_id, frame, self.now_ns)
+            self.servo.advance(self.now_ns, 0.001)
+            self.slave.tick(self.now_ns)
+
+
+_slaves: list[_Slave] = []
+_inputs = itertools.count()
+
+
 def _slave(data: bytes) -> None:
-    sent: list[tuple[int, bytes]] = []
-    servo = SimulatedServo(BareShaft(), SMALL_SERVO)
-    slave = CanOpenSlave(servo, 5, lambda cob_id, frame: sent.append((cob_id, frame)))
-    slave.boot(0)
-    now_ns = 0
-    for cob_id, frame in _frames(data):
-        now_ns += 1_000_000
-        slave.on_frame(cob_id, frame, now_ns)
-        servo.advance(now_ns, 0.001)
-        slave.tick(now_ns)
-    assert all(len(frame) <= 8 for _, frame in sent)
+    if next(_inputs) % 32 == 0:
+        _slaves[:] = [_Slave()]
+    _slaves[0].run(data)
 
 
 class _Master:
@@ -308,16 +327,20 @@ class _Master:
 
 _masters: list[_Master] = []
 _rounds = itertools.count(1)
+_refused: list[bytes] = []
+"""What the present master ended by an error, one after the other. It is opened anew after some: opening takes 20 times an input."""
 
 
 def _master(data: bytes) -> None:
-    if not _masters or next(_rounds) % 200 == 0:
+    if not _masters or len(_refused) >= 8 or next(_rounds) % 200 == 0:
+        _refused.clear()
         _masters[:] = [_Master()]
     try:
         _masters[0].run(data)
     except BridgeError:
-        _masters.clear()
+        _refused.append(data)
         raise
+    _refused.clear()
 
 
 # -- Modbus ------------------------------------------------------------------------------------------------------------
@@ -506,6 +529,14 @@ TARGETS: Mapping[str, Target] = {
         _text(wide_iso.load),
         ["t;1+;1-;run 2 ↑\n0;1;2;3\n10;1;2;3\n".encode()],
         ("run", "cycle", "↑", "↓", "forward", "up", *NUMBERS),
+    ),
+    "circle path": Target(
+        _both(_text(lambda text: circles._driven(text, None)), _text(lambda text: circles._table(text, 1.0))),
+        [CIRCLE, b"x_mm,y_mm\n1,0\n0,1\n", b"angle_deg,deviation_um\n0,1\n90,-1\n"],
+        (*JSON, *NUMBERS),
+    ),
+    "probe machine": Target(
+        _file(load_probe_machine, "probe.toml"), _seeds_of("hil/examples/probe_machine.toml"), TOML, 8192
     ),
     "manual tables": Target(_file(read_manual_tables), [b"position_mm,plus_um,minus_um\n0,1,1\n10,2,3\n"], NUMBERS),
     "model": Target(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -14,25 +15,31 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat
 from hostile import files
 
+from drivers.bounded_file import read_bytes
 from drivers.canopen.eds import load_eds
+from drivers.canopen.eds_text import MOST_MEMBERS
 from drivers.errors import InputError
 from drivers.instruments.ascii_values import LONGEST_BYTES, AsciiDecoder, AsciiSettings
 from drivers.instruments.replay import MOST_LINES, Recording
 from drivers.instruments.values import BadLine, Value
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import shipped_maps
+from hil.app.terminal.main import main
 from hil.app.terminal.passwords import read_password_file
 from hil.axis.axis_file import load_axis
 from hil.correction.formats import wide_iso
+from hil.correction.manual import read_manual_tables
 from hil.correction.sealed import CostError, check_detached, load_private_key, load_public_key, new_key, seal
 from hil.correction.store import SealedStore
 from hil.correction.tables import TableSet
 from hil.effects.model import Model
+from hil.parameters.formats import read_any
+from hil.parameters.set_file import read_set
 from hil.probe.store import RunOutStore
 from hil.records.files import DEEPEST, parse_json
 from hil.records.journal import read_purpose
 from hil.records.made_with import read_made_with
-from hil.records.rows import parse_csv
+from hil.records.rows import parse_csv, read_csv
 from hil.records.zero import read_zero
 
 PASSWORD = "a long enough password"
@@ -96,12 +103,18 @@ def test_a_key_whose_derivation_is_a_bomb_is_refused_before_it_is_computed(write
         files.plain_key_called_encrypted(),
         files.scrypt_key(16)[:80] + b"\n-----END ENCRYPTED PRIVATE KEY-----\n",
         b"-----BEGIN ENCRYPTED PRIVATE KEY-----\nA-----END ENCRYPTED PRIVATE KEY-----",
-        b"x" * (1 << 20) + files.scrypt_key(16),
     ],
 )
 def test_a_private_key_of_another_make_is_refused(write: Write, key: bytes) -> None:
     path = write(key)
     refused(lambda: load_private_key(path, PASSWORD), "is not a password-protected private key")
+
+
+def test_a_key_file_longer_than_any_key_is_refused(write: Write) -> None:
+    path = write(b"x" * (1 << 20) + files.scrypt_key(16))
+    refused(lambda: load_private_key(path, PASSWORD), "is too long, expected at most 64 KiB")
+    path = write(files.public_key_of_unknown_kind() + b"x" * (1 << 20))
+    refused(lambda: load_public_key(path), "is too long, expected at most 64 KiB")
 
 
 def test_a_key_that_another_tool_encrypted_by_pbkdf2_opens(write: Write) -> None:
@@ -139,6 +152,11 @@ def test_a_recording_of_empty_lines_without_end_is_refused(write: Write) -> None
     ("read", "most_s"),
     [
         pytest.param(lambda path: load_eds(_written(path, files.eds(8000))), 3.0, id="EDS of 8,000 objects"),
+        pytest.param(
+            lambda path: load_axis(_written(path, "[axis]\nname = 0b" + "1" * 100_000)),
+            1.0,
+            id="axis file, a number of 100,000 digits",
+        ),
         pytest.param(lambda _path: parse_csv(files.wide_header(20_000)), 1.0, id="records of 20,000 columns"),
         pytest.param(lambda _path: wide_iso.load("t;1" + " " * 8000 + "x\n1;2\n"), 0.1, id="wide ISO, 8,000 blanks"),
         pytest.param(
@@ -161,6 +179,50 @@ def test_a_file_that_made_a_reader_quadratic_is_read_or_refused_soon(
 def _written(path: Path, text: str) -> Path:
     path.write_text(text)
     return path
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        load_axis,
+        load_drive_map,
+        load_eds,
+        read_set,
+        lambda path: load_private_key(path, PASSWORD),
+        load_public_key,
+        read_password_file,
+        read_zero,
+        read_manual_tables,
+        read_csv,
+        lambda path: SealedStore(path, "X", PASSWORD, new_key().public_key()).load(),
+        lambda path: read_any(path.rename(path.with_suffix(".cdcf"))),
+    ],
+)
+def test_a_file_of_4_tib_that_takes_no_disk_is_refused_unread(read: Callable[[Path], object], write: Write) -> None:
+    path = write("")
+    os.truncate(path, 4 << 40)
+    assert path.stat().st_blocks == 0
+    with pytest.raises(InputError, match="is too long"):
+        read(path)
+
+
+def test_a_device_without_end_is_read_up_to_the_bound(write: Write) -> None:
+    refused(lambda: read_bytes("/dev/zero", LITTLE_BYTES), "is too long, expected at most 8192 KiB")
+    path = write("x" * 10)
+    assert read_bytes(path, 10) == b"x" * 10
+    refused(lambda: read_bytes(path, 9), "is too long")
+
+
+def test_compact_arrays_that_unpack_to_gigabytes_are_refused(write: Write) -> None:
+    """1.6 MB of text would make 16 million entries, 300 times what is kept of them at most."""
+
+    def arrays(count: int) -> str:
+        return "".join(f"[{index:04X}]\nCompactSubObj=254\n" for index in range(count))
+
+    path = write(arrays(1 << 16))
+    refused(lambda: load_eds(path), "more than 16384 members")
+    path.write_text(arrays(MOST_MEMBERS // 254))
+    assert len(load_eds(path).entries) == 255 * (MOST_MEMBERS // 254)
 
 
 # -- numbers, nesting and types that no reader expects ----------------------------------------------------------------
@@ -193,6 +255,12 @@ def test_a_register_map_of_a_hostile_scale_is_refused(write: Write, value: str) 
     assert "\nscale = 0.1" in good
     path = write(good.replace("\nscale = 0.1", f"\nscale = {value}"))
     refused(lambda: load_drive_map(path))
+
+
+@pytest.mark.parametrize("value", ["0x" + "F" * 5000, '"' + "P" * 5000 + '"'])
+def test_a_register_map_of_a_hostile_address_is_refused(write: Write, value: str) -> None:
+    path = write(shipped_maps()["vendor_style"].read_text().replace("\naddress = ", f"\naddress = {value}#", 1))
+    refused(lambda: load_drive_map(path), "address is")
 
 
 @pytest.mark.parametrize(
@@ -289,3 +357,34 @@ def test_only_a_line_end_ends_a_row(write: Write, inside: str) -> None:
     path = write(f"time_s,laser_mm\n0,1{inside}1,2\n")
     refused(lambda: Recording.read(path))
     refused(lambda: parse_csv(f"run,direction,target_mm,measured_mm\n1,1,0,0{inside}1,1,1,1\n"))
+
+
+@pytest.mark.parametrize(
+    ("radius", "sense", "angles"),
+    [
+        (1, 1, [0]),
+        (1, 1e400, [0, 1]),
+        (1, 2, [0, 1]),
+        (1e400, 1, [0, 1]),
+        (-1, 1, [0, 1]),
+        (1, 1, [[0, 1]]),
+        (1, 1, [0, 1e400]),
+    ],
+)
+def test_a_circle_of_wrong_values_is_refused(
+    write: Write, radius: float, sense: float, angles: list[float], capsys: pytest.CaptureFixture[str]
+) -> None:
+    circle = {"angle_deg": angles, "deviation_um": [0, 1]}
+    path = write(json.dumps({"radius_mm": radius, "sense": sense, "circles": {"a": circle}}))
+    path = path.rename(path.with_suffix(".json"))
+    assert main(["iso230-4", str(path)]) == 2
+    assert capsys.readouterr().err.endswith("is no result of `hil circle --json`\n")
+
+
+@pytest.mark.parametrize("inside", ["\u2028", "\x0b", "\x0c", "\x85"])
+def test_only_a_line_end_ends_a_point_of_a_circle(
+    write: Write, inside: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(f"x_mm,y_mm\n1,0\n0,1{inside}-1,0\n0,-1\n")
+    assert main(["iso230-4", str(path), "--radius", "1"]) != 0
+    assert "row has 3 columns, expected 2" in capsys.readouterr().err

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import itertools
+import resource
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from datetime import datetime, timedelta, tzinfo
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -15,12 +18,15 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 from hostile import disks
+from hostile import files as fuzzed
 from hostile.places import VERBS, Place, store_of
+from support.bench_axis import PASSWORDS
 
 import hil.correction.sealed.sealing
 import hil.records.journal
 import hil.records.zero
-from hil.correction.sealed import check
+from hil.app.terminal.main import main
+from hil.correction.sealed import Cost, check, new_key, save_private_key, save_public_key, seal
 from hil.figures.history import merge, read_campaign
 
 # -- the clock ---------------------------------------------------------------------------------------------------------
@@ -91,6 +97,112 @@ def test_a_disk_that_is_full_at_any_write_of_a_verb(verb: str, kind: str, tmp_pa
     for at in _some(verb, kind, tmp_path / "counted", 6):
         found = disks.run(verb, kind, at, tmp_path / f"{at}")
         assert not found.complaints, (at, found)
+
+
+# -- the disk, for the verbs that move nothing -------------------------------------------------------------------------
+FILE_VERBS = {
+    "export": "export table.csv --format linuxcnc --out new.comp",
+    "import": "import x.comp --format linuxcnc --out new.csv",
+    "sign --new-key": "sign --new-key new",
+    "sign": "sign table.csv --key builder.key",
+    "seal": "seal table.csv --out new.sealed --key builder.key",
+    "seal --update": "seal x.comp --out x.sealed --key builder.key --update",
+    "open": "open x.sealed --builder builder.pub --out new",
+    "iso230": "iso230 rows.csv --json new.json",
+    "fit": "fit rows.csv --out new.json",
+    "apply": "apply --model model.json rows.csv --out new.csv",
+    "diagnose": "diagnose rows.csv --json new.json --out more.json",
+    "report": "report rows.csv --out new.html",
+    "records merge": "records merge rows.csv rows.csv --out new.csv",
+    "records export": "records export rows.csv --format iso-wide --out new.csv",
+    "campaign design": "campaign design axis.toml --minutes 20 --out new.csv",
+}
+
+
+@pytest.fixture(scope="module")
+def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the verbs read."""
+    folder = tmp_path_factory.mktemp("inputs")
+    key = new_key()
+    save_private_key(folder / "builder.key", key, PASSWORDS["HIL_KEY_PASSWORD"], cost=Cost(2, 1, 1))
+    save_public_key(folder / "builder.pub", key.public_key())
+    (folder / "table.csv").write_text("position_mm,plus_um,minus_um\n0,0,1\n10,2,3\n20,1,2\n")
+    (folder / "x.comp").write_text("0 0.0 0.001\n10 10.002 10.003\n")
+    (folder / "x.sealed").write_bytes(
+        seal({"table.csv": b"1" * 5000}, PASSWORDS["HIL_PASSWORD"], key, cost=Cost(2, 1, 1))
+    )
+    rows = [
+        f"{run},{way},{at},{at + 0.001 * np.sin(at) + 0.0001 * ((7 * at + run + way) % 3):.6f}"
+        for run in (1, 2, 3)
+        for way in (1, -1)
+        for at in range(0, 80, 10)
+    ]
+    (folder / "rows.csv").write_text("\n".join(["run,direction,target_mm,measured_mm", *rows, ""]))
+    (folder / "axis.toml").write_text(files("hil.examples").joinpath("demo_axis.toml").read_text(encoding="utf-8"))
+    (folder / "model.json").write_text(fuzzed.model())
+    return folder
+
+
+@contextmanager
+def longest_file(most_bytes: int) -> Iterator[None]:
+    """The kernel lets no file grow beyond this: a write ends short, the next one fails, as on a disk that has just become full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize(
+    "verb",
+    [pytest.param(verb, marks=[] if verb in ("export", "seal", "open") else pytest.mark.slow) for verb in FILE_VERBS],
+)
+def test_a_disk_that_is_full_at_any_write_of_a_verb_of_files(
+    verb: str, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, password in PASSWORDS.items():
+        monkeypatch.setenv(name, password)
+
+    def tried(name: str, disk: AbstractContextManager[None]) -> tuple[int, str, dict[str, bytes]]:
+        """Exit status, error output, and the files that are new or changed."""
+        folder = tmp_path / name
+        shutil.copytree(inputs, folder, dirs_exist_ok=True)
+        monkeypatch.chdir(folder)
+        capsys.readouterr()
+        with disk:
+            status = main(FILE_VERBS[verb].split())
+        now = {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        was = {path.name: path.read_bytes() for path in inputs.iterdir()}
+        return status, capsys.readouterr().err, {name: data for name, data in now.items() if was.get(name) != data}
+
+    counted = {kind: disks.FullDisk(kind) for kind in disks.KINDS}
+    with ExitStack() as stack:
+        for disk in counted.values():
+            stack.enter_context(disk.here())
+        status, said, good = tried("good", nullcontext())
+    assert status in (0, 1), said
+    assert good
+    longest = max(map(len, good.values()))
+    full = [
+        (f"{kind} {at}", disks.FullDisk(kind, at).here())
+        for kind, disk in counted.items()
+        for at in range(1, disk.count + 1)
+    ]
+    full += [(f"{size} bytes", longest_file(size)) for size in (0, 1, longest // 2, longest - 1)]
+    for name, disk in full:
+        status, said, left = tried(name, disk)
+        errors = [line for line in said.splitlines() if line.startswith("hil: ")]
+        assert status != 0, (name, "says nothing")
+        assert len(errors) == 1, (name, said)
+        assert "No space left on device" in said or "File too large" in said, (name, said)
+        assert "traceback" not in said, (name, said)
+        assert all(abs(len(data) - len(good[file])) <= 64 for file, data in left.items()), (name, "leaves half a file")
+        for each in left:
+            (tmp_path / name / each).unlink()
+        status, said, again = tried(name, nullcontext())
+        assert status in (0, 1), (name, said)
+        assert set(again) == set(good), name
 
 
 # -- two programs ------------------------------------------------------------------------------------------------------

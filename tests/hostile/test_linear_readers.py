@@ -130,6 +130,12 @@ CASES: dict[str, tuple[Callable[[int], str], Callable[[str, Path], object]]] = {
     "TOML, tables": (lambda n: "".join(f"[t{i}]\n" for i in range(n)), _text(lambda text: Document("f", text).lines)),
     "TOML, lists of tables": (lambda n: "[[t]]\n" * n, _text(lambda text: Document("f", text).lines)),
     "TOML, dotted key": (lambda n: ".".join("a" * n) + " = 1", _text(lambda text: Document("f", text).lines)),
+    "TOML, digits": (lambda n: "x = 0b" + "1" * n, _text(lambda text: Document("f", text).values)),
+    "TOML, letters": (lambda n: "x" * n + " = 1", _text(lambda text: Document("f", text).lines)),
+    "TOML, parts and blanks": (
+        lambda n: "x = [" + "a . " * 31 + " " * n + ". " * 40,
+        _text(lambda text: Document("f", text).lines),
+    ),
     "TOML, quotes": (lambda n: "x = [" + '"\\\\", ' * n + "]", _text(lambda text: Document("f", text).lines)),
     "register map": (
         lambda n: MAP + "".join(f'[registers.r{i}]\naddress = {i}\ntype = "u16"\n' for i in range(n)),

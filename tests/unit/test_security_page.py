@@ -9,9 +9,10 @@ import pytest
 from fuzz.targets import TARGETS
 
 import drivers.instruments.replay as recordings
-from drivers import toml_schema
-from drivers.canopen.eds import MOST_DIGITS as EDS_DIGITS
+from drivers import bounded_file, toml_schema
+from drivers.canopen import eds, eds_text
 from drivers.instruments import ascii_values, nd2xx, umd
+from hil.app.terminal import passwords
 from hil.correction.sealed import container, keys
 from hil.records import files
 
@@ -37,8 +38,10 @@ def test_the_bounds_are_those_of_the_code() -> None:
     assert (container.MAX_KDF_MEMORY_BYTES, container.MAX_KDF_WORK, keys.MAX_ROUNDS) == (256 << 20, 1 << 23, 1 << 22)
     assert (container.MAX_HEADER_BYTES, container.MAX_BINDING_BYTES, container.MAX_ENTRIES) == (1 << 20, 32 << 10, 1000)
     assert (recordings.MOST_BYTES, recordings.MOST_LINES, recordings.MOST_CELLS) == (256 << 20, 1 << 22, 1 << 24)
-    assert (files.DEEPEST, files.MOST_DIGITS, EDS_DIGITS) == (64, 64, 64)
+    assert (files.DEEPEST, files.MOST_DIGITS, eds.MOST_DIGITS) == (64, 64, 64)
     assert toml_schema.MOST_BYTES == 4 << 20
+    assert (bounded_file.MOST_BYTES, eds.MOST_BYTES, eds_text.MOST_MEMBERS) == (256 << 20, 16 << 20, 1 << 14)
+    assert passwords.MOST_BYTES == 1 << 20
     assert (ascii_values.LONGEST_BYTES, umd.MAX_LINE_BYTES, nd2xx.LONGEST_BYTES) == (200, 400, 40)
 
 

@@ -11,11 +11,14 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from hil.correction.sealed.errors import WrongKeyPasswordError, WrongPasswordError
 from hil.correction.sealed.keys import NEW_CHARACTERS, require_strong
 from hil.records.files import split_lines
 
+MOST_BYTES = 1 << 20
+"""Longest password file."""
 READING = "HIL_PASSWORD"
 KEY = "HIL_KEY_PASSWORD"
 MEANING = {
@@ -60,9 +63,7 @@ def add_key_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
 def read_password_file(path: str | Path) -> str:
     """The first line of a file. Raises InputError when it cannot be read or is empty."""
     try:
-        lines = split_lines(Path(path).read_bytes().decode("utf-8"))
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}", path=path) from error
+        lines = split_lines(read_bytes(path, MOST_BYTES).decode("utf-8"))
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", path=path) from error
     if not lines or not lines[0]:

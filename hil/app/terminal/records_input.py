@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from hil.diagnosis.stored import measurement_of, pass_number
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
 from hil.effects.user_effects import catalogue_with
-from hil.records.files import read_bytes
 from hil.records.journal import MARKER
 from hil.records.rows import Records, concatenate, read_csv
 

@@ -29,10 +29,11 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from hil.correction.sealed.container import SIGNATURE_BYTES, Cost
 from hil.correction.sealed.errors import CostError, DamagedError, ForeignSignatureError, WrongKeyPasswordError
-from hil.records.files import parse_json, read_bytes, replace_file
+from hil.records.files import parse_json, replace_file
 
 KEY_COST = Cost(n=1 << 14, r=8, p=5)
 """As strong as the sealed files' default with half its memory, which other tools accept by default."""
@@ -102,8 +103,7 @@ def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *,
 def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:
     """Read a private key. Raises WrongKeyPasswordError, CostError for a key derivation that would take too long or too much memory,
     before it is computed, or InputError when the file is no encrypted Ed25519 key."""
-    data = read_bytes(path)
-    block = _ENCRYPTED.search(data) if len(data) <= MAX_KEY_FILE_BYTES else None
+    block = _ENCRYPTED.search(read_bytes(path, MAX_KEY_FILE_BYTES))
     try:
         der = b"" if block is None else base64.b64decode(b"".join(block[1].split()), validate=True)
         _check_cost(der)
@@ -129,9 +129,9 @@ def save_public_key(path: str | Path, public: Ed25519PublicKey) -> None:
 
 def load_public_key(path: str | Path) -> Ed25519PublicKey:
     """Read a public key. Raises InputError when the file is no Ed25519 public key."""
-    data = read_bytes(path)
+    data = read_bytes(path, MAX_KEY_FILE_BYTES)
     try:
-        public = load_pem_public_key(data[:MAX_KEY_FILE_BYTES])
+        public = load_pem_public_key(data)
     except (ValueError, UnsupportedAlgorithm) as error:
         raise InputError("is not a public key (PEM)", path=path) from error
     if not isinstance(public, Ed25519PublicKey):

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.errors import InputError
 from hil.app.terminal.output import add_json_option, number, print_facts, print_table, write_json
 from hil.figures.iso230_4 import MEANINGS, STANDARD, CircularPath, iso230_4
-from hil.records.files import naming, parse_json, read_text
+from hil.records.files import naming, parse_json, read_text, split_lines
 from hil.records.rows import UM_PER_MM, Floats, parse_number, shown
 
 EXAMPLE = """\
@@ -100,10 +100,14 @@ def _driven(text: str, wanted: str | None) -> tuple[float, tuple[Floats, Floats]
         form: Any = parse_json(text)
         circles = form["circles"]
         name = wanted or list(circles)[-1]
-        radius, sense = float(form["radius_mm"]), int(form["sense"])
+        radius, sense = float(form["radius_mm"]), float(form["sense"])
         if name not in circles:
             raise InputError(f"holds no circle {name!r}, only {', '.join(circles)}")
         angle, deviation = (np.asarray(circles[name][key], dtype=np.float64) for key in ("angle_deg", "deviation_um"))
+        if sense not in (1.0, -1.0) or not 0.0 < radius < np.inf or angle.ndim != 1 or angle.shape != deviation.shape:
+            raise ValueError("values")
+        if not (np.isfinite(angle).all() and np.isfinite(deviation).all()):
+            raise ValueError("values")
     except (ValueError, KeyError, TypeError, IndexError) as error:
         raise InputError("is no result of `hil circle --json`") from error
     return radius, _points(angle * sense, deviation, radius)
@@ -113,7 +117,7 @@ def _table(text: str, radius: float | None) -> tuple[float, tuple[Floats, Floats
     """Nominal radius and points of a path in CSV."""
     if radius is None:
         raise InputError("says nothing of the nominal radius; state it with --radius MM")
-    numbered = enumerate(text.removeprefix("\ufeff").splitlines(), start=1)
+    numbered = enumerate(split_lines(text.removeprefix("\ufeff")), start=1)
     lines = [(index, line.split(",")) for index, line in numbered if line.strip() and not line.lstrip().startswith("#")]
     header = [cell.strip() for cell in lines[0][1]] if lines else []
     pair = next((pair for pair in (("x_mm", "y_mm"), ("angle_deg", "deviation_um")) if set(pair) <= set(header)), None)

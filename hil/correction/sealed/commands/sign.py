@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 
+from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
 from hil.app.terminal.output import add_json_option, binding_facts, print_facts, write_json
 from hil.app.terminal.passwords import KEY, add_key_options, password
@@ -21,7 +22,7 @@ from hil.correction.sealed import (
     sign_detached,
 )
 from hil.correction.store import SealedStore
-from hil.records.files import naming, read_bytes, replace_file
+from hil.records.files import naming, replace_file
 
 EXAMPLE = """\
 example:
