@@ -8,6 +8,7 @@ passes them as columns. For records that lack them they are estimated here, and 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +18,17 @@ Columns = Mapping[str, Floats]
 
 LONG_STROKE_MM = 1e6
 """Stroke before the first reversal of a record, where its length is unknown."""
+SAME_PLACE_MM = 0.002
+"""Two rows' reversals this near are one: records hold travels to a thousandth."""
+BRANCH = ("branch_travel_mm", "branch_stroke_mm", "branch_stroke_2_mm", "branch_stroke_3_mm")
+"""Columns of the reversals that an elastic drive train still remembers: the travel since the last of them and the strokes before it,
+the latest first; closed loops are left out. `LONG_STROKE_MM` where there is none.
+"""
 
 
 def complete(columns: Columns) -> dict[str, Floats]:
-    """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm` and `command_mm` added where they are missing or
-    not filled.
+    """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm`, `command_mm` and those of BRANCH added where they
+    are missing or not filled.
 
     columns: at least `run`, `direction`, `target_mm`, each of shape (n,), rows in the order of time. `row_order`
     replaces `time_s` where that is missing (`time_column`).
@@ -37,7 +44,15 @@ def complete(columns: Columns) -> dict[str, Floats]:
             full["since_reversal_mm"] = since
         if not _filled(full, "stroke_mm"):
             full["stroke_mm"] = stroke
-    return full
+    return with_branches(full)
+
+
+def with_branches(columns: Columns) -> dict[str, Floats]:
+    """The columns with those of BRANCH, which follow from the others of rows in the order of time."""
+    if all(name in columns for name in BRANCH):
+        return dict(columns)
+    way = (columns[name] for name in ("target_mm", "direction", "since_reversal_mm", "stroke_mm"))
+    return {**columns, **branches(*way)}
 
 
 def time_column(columns: Columns) -> str:
@@ -88,6 +103,58 @@ def reversals(target_mm: Floats, direction: Floats) -> tuple[Floats, Floats]:
     if n:
         stroke[0] = LONG_STROKE_MM
     return since, stroke
+
+
+def remembered(turns_mm: tuple[float, ...], here_mm: float, way: float, target_mm: float) -> tuple[float, ...]:
+    """Places of the reversals that matter after a straight motion to another place, the oldest first; way: sign of the motion before.
+
+    A motion that passes the place of the reversal before last closes a loop, which is forgotten (Masing's rules, 1926).
+    """
+    ahead = 1.0 if target_mm > here_mm else -1.0
+    if ahead != way:
+        turns_mm = (*turns_mm, here_mm)
+    while len(turns_mm) >= 2 and ahead * (target_mm - turns_mm[-2]) >= 0.0:
+        turns_mm = turns_mm[:-2]
+    return turns_mm
+
+
+def strokes_of(turns_mm: tuple[float, ...], here_mm: float) -> tuple[float, ...]:
+    """The values of BRANCH for the reversals that are remembered at a place, mm."""
+    strokes = [abs(b - a) for a, b in pairwise((*turns_mm, here_mm))][::-1]
+    return tuple(strokes[: len(BRANCH)] + [LONG_STROKE_MM] * (len(BRANCH) - len(strokes)))
+
+
+def branches(position_mm: Floats, direction: Floats, since_mm: Floats, stroke_mm: Floats) -> dict[str, Floats]:
+    """The columns of BRANCH, each of shape (n,), from places, directions, travels since the reversal and strokes before it.
+
+    A row tells its last two reversals. Where they join those of the row before, the way between the rows is known; where they do not,
+    the axis is taken to have come from a long stroke.
+    """
+    found = np.empty((len(position_mm), len(BRANCH)))
+    turns: tuple[float, ...] = ()
+    here = way = turned_before = np.nan
+    rows = zip(*(values.tolist() for values in (position_mm, direction, since_mm, stroke_mm)), strict=True)
+    for i, (place, ahead, since, stroke) in enumerate(rows):
+        turned = place - ahead * since
+        known = stroke < LONG_STROKE_MM
+        before = turned + ahead * stroke
+        if ahead == way and abs(turned - turned_before) <= SAME_PLACE_MM and ahead * (place - here) >= -SAME_PLACE_MM:
+            legs = (place,)
+        elif known and ahead == -way and abs(before - turned_before) <= SAME_PLACE_MM:
+            legs = (turned, place)
+        elif known and ahead == way and way * (before - here) >= -SAME_PLACE_MM:
+            legs = (before, turned, place)
+        else:
+            turns, here, way = ((before,) if known else ()), turned, -ahead
+            legs = (place,)
+        for leg in legs:
+            if leg != here:
+                turns = remembered(turns, here, way, leg)
+                here, way = leg, 1.0 if leg > here else -1.0
+        if way != ahead:  # it stands on the reversal itself
+            turns, way = (*turns, here), ahead
+        found[i], turned_before = strokes_of(turns, here), turned
+    return dict(zip(BRANCH, found.T, strict=True))
 
 
 def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:

@@ -2,10 +2,10 @@
 reversal.
 
 error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reversal_mm`. The constant per direction that remains for
-large s belongs to the table. Elements that stick and slip at different forces (Prandtl, Masing) remember a stroke S = `stroke_mm`
-that was too short to wind them up: error = amount · d · (f(s / length) - f(S / length)) up to s = S, and 0 from there on, where the
-branch from before that stroke is met again. (A controller's two-stage running form is in `hil.lost_motion`, fitted to dense
-reversals.)
+large s belongs to the table. Elements that stick and slip at different forces (Prandtl, Masing) remember strokes that were too short
+to wind them up: error = amount · d · (f(s / length) - f(S₁ / length) + f(S₂ / length) - …), s the travel since the last reversal that
+is remembered, S₁, S₂ … the strokes before it (`hil.effects.history.BRANCH`); where a loop closes it is the branch from before.
+(A controller's two-stage running form is in `hil.lost_motion`, fitted to dense reversals.)
 """
 
 from __future__ import annotations
@@ -16,14 +16,16 @@ from typing import ClassVar
 import numpy as np
 
 from hil.effects.base import MOST_UNSURE, Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
-from hil.effects.history import LONG_STROKE_MM
+from hil.effects.history import BRANCH, LONG_STROKE_MM, with_branches
 from hil.effects.survey import Survey
 
 EXPONENTIAL = "exponential"
 TANH = "tanh"
 TWO_STAGE = "two lengths"
-REMEMBERED = {"exponential, short strokes remembered": EXPONENTIAL, "tanh, short strokes remembered": TANH}
-"""Forms with the stroke before, and the form that each has after a long one."""
+REMEMBERED = {"exponential, strokes remembered": EXPONENTIAL, "tanh, strokes remembered": TANH}
+"""Forms with the strokes before, and the form that each has after a long one."""
+ONE_STROKE = {"exponential, short strokes remembered": EXPONENTIAL, "tanh, short strokes remembered": TANH}
+"""Of models stored before: the last stroke alone is remembered."""
 SEEN_FROM = 0.9
 """Share of the amount that must be there at the shortest travel of the rows for the amount itself to be stated: what lies before
 that travel is an extrapolation, so otherwise the value at it is stated.
@@ -69,7 +71,13 @@ class LostMotion(Effect):
         if form.name in (EXPONENTIAL, TANH):
             return np.asarray(d * _left(form.name, s / theta[0]))[:, None]
         if form.name in REMEMBERED:
-            after_long, stroke = REMEMBERED[form.name], columns["stroke_mm"]
+            after_long, branch = REMEMBERED[form.name], with_branches(columns)
+            sign, left = 1.0, np.zeros(np.shape(s))
+            for name in BRANCH:
+                left, sign = left + sign * _left(after_long, branch[name] / theta[0]), -sign
+            return np.asarray(d * left)[:, None]
+        if form.name in ONE_STROKE:
+            after_long, stroke = ONE_STROKE[form.name], columns["stroke_mm"]
             left = _left(after_long, s / theta[0]) - _left(after_long, stroke / theta[0])
             return np.asarray(d * np.maximum(left, 0.0))[:, None]
         if form.name == TWO_STAGE:
@@ -104,8 +112,8 @@ def _left(form: str, z: Floats) -> Floats:
 def shown_amount(term: Term) -> tuple[Estimate, float]:
     """The amount, µm, and the travel since the reversal that it is stated for, mm: 0, or the shortest of the rows."""
     nearest = term.form.constants.get("shortest_mm", 0.0)
-    wound = {"direction": 1.0, "stroke_mm": LONG_STROKE_MM}
-    whole, seen = (term.at({"since_reversal_mm": s, **wound}) for s in (0.0, nearest))
+    wound = {"direction": 1.0, "stroke_mm": LONG_STROKE_MM, **dict.fromkeys(BRANCH, LONG_STROKE_MM)}
+    whole, seen = (term.at({"since_reversal_mm": s, **wound, BRANCH[0]: s}) for s in (0.0, nearest))
     if seen.value / (whole.value or 1.0) >= SEEN_FROM and whole.std <= MOST_UNSURE * abs(whole.value):
         return whole, 0.0
     return seen, nearest

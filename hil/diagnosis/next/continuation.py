@@ -34,7 +34,7 @@ from hil.diagnosis.verdict.hypotheses import (
     unseen_causes,
 )
 from hil.effects import Effect, Form
-from hil.effects.history import time_column
+from hil.effects.history import BRANCH, time_column
 from hil.effects.model import Model
 from hil.records.rows import Records
 
@@ -148,7 +148,7 @@ class Continuation:
         base, m = self.base.columns, len(plan["run"])
         whole: dict[str, Floats] = {}
         for name in {*base, *plan}:
-            if name in ("row_order", "strokes_s") or (name == "time_s" and "time_s" not in base):
+            if name in ("row_order", "strokes_s", *BRANCH) or (name == "time_s" and "time_s" not in base):
                 continue
             if name in base and name in plan:
                 whole[name] = np.concatenate([base[name], plan[name]])

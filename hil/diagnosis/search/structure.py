@@ -18,12 +18,12 @@ from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Whitened
 from hil.diagnosis.search.candidates import Blocks, Stack
 from hil.effects.base import Columns, Form
-from hil.effects.history import LONG_STROKE_MM
+from hil.effects.history import BRANCH, LONG_STROKE_MM
 from hil.effects.non_parametric import NonParametric, fine_form, powers, smooth_form, spread_of
 
 Floats = NDArray[np.float64]
 
-SKIPPED = frozenset({"run", "measured_mm", "command_mm", "direction", "row_order"})
+SKIPPED = frozenset({"run", "measured_mm", "command_mm", "direction", "row_order", *BRANCH})
 FINE = 4
 """Hat functions per knot interval of the table in the search for structure finer than the table."""
 

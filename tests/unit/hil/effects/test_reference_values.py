@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from drivers.errors import InputError
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.air import refractivity_ppm
 from hil.effects.base import NonLinear
-from hil.effects.history import lagged
+from hil.effects.history import BRANCH, lagged, with_branches
 
 EFFECTS = {effect.id: effect for effect in ALL}
 TRAVEL = {"centre_mm": 200.0, "half_span_mm": 100.0}
@@ -230,6 +231,46 @@ def test_short_strokes_are_remembered_as_a_stack_of_elements_that_stick_and_slip
     shape = basis("lost_motion", "exponential, short strokes remembered", columns, (length,))
     first_three = slice(0, 60)  # the fourth turns inside a loop that the third has closed
     assert np.array(shape)[first_three, 0] * 2.0 * wound == pytest.approx(lag[first_three], abs=0.004)
+
+
+@pytest.mark.parametrize(
+    "each", [1, 20, 33]
+)  # rows of the path that are recorded: all, one a stroke, some strokes without any
+def test_strokes_within_strokes_are_remembered_as_a_stack_of_elements_does(each: int) -> None:
+    """Judged by elements that stick and slip, on forty strokes of 0.3 to 60 mm, nested as chance has it."""
+    length, edges = 3.0, np.linspace(0.0, 60.0, 6001)
+    slopes = np.diff(1.0 - np.exp(-edges / length)) / np.diff(edges)
+    weights, widths = slopes - np.append(slopes[1:], 0.0), edges[1:]
+    wound = float(weights @ widths) / 2.0
+    rng = np.random.default_rng(3)
+    strokes = [1e6, 200.0, *np.exp(rng.uniform(np.log(0.3), np.log(60.0), 40))]
+    held, here, rows = -widths / 2.0, 0.0, []
+    for before, stroke, direction in zip(strokes, strokes[1:], cycle((1.0, -1.0))):
+        for travel in np.linspace(0.0, stroke, 21)[1:]:
+            place = here + direction * stroke / 20.0
+            held = np.clip(held + place - here, -widths / 2.0, widths / 2.0)
+            here = place
+            rows.append((travel, direction, before, here, direction * wound - float(weights @ held)))
+    *recorded, lag = np.array(rows)[each - 1 :: each].T
+    columns = dict(zip(("since_reversal_mm", "direction", "stroke_mm", "target_mm"), recorded, strict=True))
+    shape = np.array(basis("lost_motion", "exponential, strokes remembered", columns, (length,)))[:, 0]
+    assert len(shape) > 20
+    assert shape * 2.0 * wound == pytest.approx(lag, abs=0.01 * 2.0 * wound)
+    last = np.array(basis("lost_motion", "exponential, short strokes remembered", columns, (length,)))[:, 0]
+    assert np.max(np.abs(last * 2.0 * wound - lag)) > 0.1 * 2.0 * wound, "the stroke before alone is not enough here"
+
+
+def test_the_way_between_two_rows_that_do_not_join_is_taken_for_a_long_stroke() -> None:
+    """Reversals at 10, 40 and 30 mm, the last two once more without a row; then a row whose last two are nowhere near."""
+    columns = {
+        "target_mm": [20.0, 35.0, 33.0, 80.0],
+        "direction": [1.0, 1.0, 1.0, -1.0],
+        "since_reversal_mm": [10.0, 5.0, 3.0, 4.0],
+        "stroke_mm": [1e6, 10.0, 10.0, 6.0],
+    }
+    found = with_branches({name: np.array(values) for name, values in columns.items()})
+    strokes = np.column_stack([found[name] for name in BRANCH]).tolist()
+    assert strokes == [[10.0, 1e6, 1e6, 1e6], [5.0, 10.0, 30.0, 1e6], [3.0, 10.0, 30.0, 1e6], [4.0, 6.0, 1e6, 1e6]]
 
 
 def test_a_lost_motion_is_stated_where_rows_saw_it() -> None:
