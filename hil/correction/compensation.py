@@ -20,16 +20,14 @@ import numpy as np
 from drivers.errors import InputError, StateError
 from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.rise import Rise
-from hil.correction.running_lost_motion import Turns, remembered, wound_share
+from hil.correction.running_lost_motion import Turns, wound_share
 from hil.correction.tables import TableSet
+from hil.effects.history import BRANCH, LONG_STROKE_MM, remembered, strokes_of
 from hil.records.made_with import MadeWith
 from hil.records.rows import UM_PER_MM, Floats
 from hil.records.zero import Zero
 
 Columns = Mapping[str, Floats]
-
-LONG_STROKE_MM = 1e6
-"""Stroke, mm, that winds the drive train up completely; used where the stroke before the first reversal is unknown."""
 
 BESIDE_MM = (0.0, -SLOPE_OVER_MM / 2, SLOPE_OVER_MM / 2)
 """From a target: where a command's correction is taken, the target first, so that its slope is known."""
@@ -93,7 +91,15 @@ class MotionHistory:
             "direction": float(self.direction),
             "since_reversal_mm": self.since_reversal_mm,
             "stroke_mm": self.stroke_or_long_mm,
+            **dict(zip(BRANCH, self._strokes_mm, strict=True)),
         }
+
+    @property
+    def _strokes_mm(self) -> tuple[float, ...]:
+        """Those that are remembered; the first motion of all counts as one after a long stroke, as in the rows that it measures."""
+        if self.stroke_mm is None and not self.turns_mm:
+            return strokes_of((self.position_mm - self.direction * self.since_reversal_mm,), self.position_mm)
+        return strokes_of(self.turns_mm, self.position_mm)
 
     def moved_to(self, target_mm: float) -> MotionHistory:
         """The history after a straight motion to a target; a motion of no length changes nothing."""

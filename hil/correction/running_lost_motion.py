@@ -15,22 +15,13 @@ from itertools import pairwise
 
 from drivers.errors import InputError
 from hil.correction.rise import FULL_UM, Rises
+from hil.effects.history import remembered
 
 Turns = tuple[float, ...]
 """Places, mm, of the reversals that are still remembered, the oldest first. Without any a full stroke has ended.
 
 Each lies within the loop of the two before it.
 """
-
-
-def remembered(turns: Turns, position_mm: float, arrived_by: int, target_mm: float) -> Turns:
-    """The turns after a straight motion to another place; arrived_by: direction, +1 or -1, of the motion before."""
-    direction = 1 if target_mm > position_mm else -1
-    if direction != arrived_by:
-        turns = (*turns, position_mm)
-    while len(turns) >= 2 and direction * (target_mm - turns[-2]) >= 0.0:
-        turns = turns[:-2]
-    return turns
 
 
 def wound_at_turn_um(form: Rises, direction: int, turns: Turns) -> float:

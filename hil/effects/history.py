@@ -138,15 +138,15 @@ def branches(position_mm: Floats, direction: Floats, since_mm: Floats, stroke_mm
         turned = place - ahead * since
         known = stroke < LONG_STROKE_MM
         before = turned + ahead * stroke
+        legs: tuple[float, ...] = (place,)
         if ahead == way and abs(turned - turned_before) <= SAME_PLACE_MM and ahead * (place - here) >= -SAME_PLACE_MM:
-            legs = (place,)
+            pass
         elif known and ahead == -way and abs(before - turned_before) <= SAME_PLACE_MM:
             legs = (turned, place)
         elif known and ahead == way and way * (before - here) >= -SAME_PLACE_MM:
             legs = (before, turned, place)
         else:
             turns, here, way = ((before,) if known else ()), turned, -ahead
-            legs = (place,)
         for leg in legs:
             if leg != here:
                 turns = remembered(turns, here, way, leg)

@@ -11,7 +11,8 @@ from typing import Any
 
 from hil.correction.published_rise import PublishedMove, TwoTanh, published_moves
 from hil.correction.rise import TWO_TANH
-from hil.correction.running_lost_motion import Turns, remembered, wound_um
+from hil.correction.running_lost_motion import Turns, wound_um
+from hil.effects.history import remembered
 from hil.lost_motion.estimate import Estimate
 
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
-from hil.correction.compensation import LONG_STROKE_MM
+from hil.effects.history import LONG_STROKE_MM
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
 from hil.lost_motion.published import BesidePublished
 from hil.records.rows import Floats, Records

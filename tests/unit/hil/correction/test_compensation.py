@@ -28,6 +28,7 @@ from hil.correction.tables import (
     TableSet,
     compute_tables,
 )
+from hil.effects.history import BRANCH, with_branches
 from hil.records.rows import Floats, Records
 
 amounts = st.floats(-300, 300)
@@ -222,6 +223,18 @@ def test_history_is_that_of_the_whole_path(start: float, path: list[float]) -> N
             assert history.stroke_mm == pytest.approx(sum(strokes[-2]))
         else:
             assert history.stroke_mm is None
+
+
+@given(st.lists(st.integers(-400, 400), min_size=1, max_size=30))
+@settings(max_examples=200, deadline=None)
+def test_the_engine_remembers_the_strokes_that_the_diagnosis_rebuilds_from_its_rows(path: list[int]) -> None:
+    """A row holds a place, the travel since the reversal and the stroke before it."""
+    history = MotionHistory(1000.0).moved_to(0.0).moved_to(1000.0)
+    rows = [(history := history.moved_to(500.0 + place)).columns() for place in path]
+    names = ("target_mm", "direction", "since_reversal_mm", "stroke_mm")
+    rebuilt = with_branches({name: np.array([row[name] for row in rows]) for name in names})
+    for name in BRANCH:
+        assert rebuilt[name] == pytest.approx([row[name] for row in rows], abs=1e-6)
 
 
 # -- terms ---------------------------------------------------------------------------------------------------------------
