@@ -56,7 +56,7 @@ class LostMotion(Effect):
         seen = {"shortest_mm": survey.ranges.get("since_reversal_mm", (0.0, 0.0))[0]}
         short = survey.has("stroke_mm") and survey.ranges.get("stroke_mm", (np.inf,))[0] < survey.half_span_mm
         remembered = tuple(
-            Form(self.id, name, (*inputs, "stroke_mm"), seen, (length,), starts)
+            Form(self.id, name, (*inputs, "stroke_mm", "target_mm"), seen, (length,), starts)
             for name in (REMEMBERED if short else ())
         )
         return (

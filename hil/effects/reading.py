@@ -60,7 +60,7 @@ def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
 
 def _try_out(term: Term, where: str) -> None:
     """Evaluates one row of ones: this shows a form that the effect does not know, or a wrong number of coefficients."""
-    columns = {name: np.ones(1) for name in ("target_mm", *term.form.inputs)}  # every row has a target
+    columns = {name: np.ones(1) for name in term.form.inputs}
     try:
         width = term.effect.basis(term.form, term.theta, columns).shape[1]
     except (KeyError, IndexError, ValueError) as error:
