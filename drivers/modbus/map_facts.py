@@ -78,7 +78,12 @@ class FactLedger:
         everything = self._all()
         everything[self._key] = sorted(proof.value for proof in self.proven() | proofs)
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._path.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
+        whole = self._path.with_name(f".{self._path.name}.new")  # a full disk leaves the old file as it was
+        try:
+            whole.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
+            whole.replace(self._path)
+        finally:
+            whole.unlink(missing_ok=True)
 
     def _all(self) -> dict[str, list[str]]:
         if not self._path.exists():

@@ -35,6 +35,7 @@ from hil.axis.axis_file import load_drive_axis
 from hil.machine.commands.drives_shown import CANOPEN, factory, list_drives, show_drive, wanted
 from hil.machine.commands.first_axis_file import QUESTIONS, Answers, FirstContact, axis_text
 from hil.machine.who_is_there import canopen_nodes, modbus_units
+from hil.records.files import replace_file
 from hil.records.zero import POSITION_DEPENDENT_METHODS, explain_homing, homing_risk
 
 EXAMPLE = """\
@@ -123,7 +124,7 @@ def _new(args: argparse.Namespace) -> int:
             print(note)
         print("no axis file is written")
         return 1
-    path.write_text(axis_text(ask, path.stem, found), encoding="utf-8")
+    replace_file(path, axis_text(ask, path.stem, found).encode())
     try:
         load_drive_axis(path)
     except BridgeError:

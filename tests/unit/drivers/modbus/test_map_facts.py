@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import resource
+import signal
 from pathlib import Path
 
 import pytest
@@ -191,3 +193,21 @@ def test_a_jog_that_cannot_end_is_refused(before: str, after: str, words: str, t
     (tmp_path / "mine.toml").write_text(text.replace(before, after), encoding="utf-8")
     with pytest.raises(InputError, match=words):
         load_drive_map(tmp_path / "mine.toml")
+
+
+def test_proofs_that_cannot_be_written_leave_the_old_ones(tmp_path: Path) -> None:
+    """The operating system refuses bytes beyond a size, as a full disk does."""
+    map_file, path = tmp_path / "map.toml", tmp_path / "facts.json"
+    map_file.write_text("x")
+    FactLedger(path, "tcp unit 1", map_file).add(frozenset({Proof.MOVE}))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    old_handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            FactLedger(path, "tcp unit 1", map_file).add(frozenset({Proof.STOP}))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, old_handler)
+    assert FactLedger(path, "tcp unit 1", map_file).proven() == {Proof.MOVE}
+    assert sorted(tmp_path.iterdir()) == [path, map_file]
