@@ -131,9 +131,7 @@ def test_a_step_is_no_slope_to_the_bound(direction: int) -> None:
 
 def test_two_steps_less_than_a_mm_apart_are_one_change_to_the_bound() -> None:
     """6 µm at 20 mm and 6 more at 20.95: 12 within the mm from right before the first to the second."""
-    stairs = curve(
-        raw=RawTable((0, 120, 240), (0, 120, 240), (0, 200_000, 209_500)), interpolation=Interpolation.STEP
-    )
+    stairs = curve(raw=RawTable((0, 120, 240), (0, 120, 240), (0, 200_000, 209_500)), interpolation=Interpolation.STEP)
     with pytest.raises(CorrectionBoundError, match=r"changes by 12 µm between 20 and 20\.95 mm"):
         check_curve(stairs, DriveLimits(0.0, 40.0, 200.0, 2000.0), CorrectionBound())
 
