@@ -102,6 +102,9 @@ ROOMS = {
             f"{UNIT}/parameters",
             "tests/integration/test_parameter_jobs.py",
             *(f"tests/integration/test_params_{name}.py" for name in ("download", "dcf", "lines", "verb")),
+            # they take most of the time
+            "--deselect=tests/integration/test_params_dcf.py::test_all_published_device_dcfs_pass_a_dry_run",
+            "--deselect=tests/integration/test_parameter_jobs.py::test_what_the_screen_says_of_each_outcome",
         ),
     ),
     "correction": Room(
@@ -111,7 +114,10 @@ ROOMS = {
             for name in ("fold", "tables", "manual", "correction_bound", "compensation")
         ),
     ),
-    "drive_table": Room(("hil/drive_table/curve.py", "hil/drive_table/quantise.py"), (f"{UNIT}/drive_table",)),
+    "drive_table": Room(
+        tuple(f"hil/drive_table/{name}.py" for name in ("curve", "quantise", "proof", "change")),
+        (f"{UNIT}/drive_table", "tests/integration/test_drive_table_proof.py"),
+    ),
 }
 
 SIGN, FACTOR, NUMBER = "sign", "factor or unit", "number"
