@@ -281,6 +281,18 @@ def test_a_direction_that_is_neither_plus_nor_minus_is_refused_not_guessed(direc
             tables.correction_um(at, direction)
 
 
+def test_scaled_corrections_are_so_many_times_as_large() -> None:
+    scaled = DirectionalTable(np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.array([3.0, -4.0])).scaled(4.0)
+    assert (scaled.plus_um.tolist(), scaled.minus_um.tolist()) == ([4.0, 8.0], [12.0, -16.0])
+
+
+def test_tables_whose_directions_differ_at_one_place_correct_a_reversal() -> None:
+    at = np.array([0.0, 50.0, 100.0])
+    same = DirectionalTable(at, np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]))
+    assert not TableSet(TableMode.BIDIRECTIONAL, same).corrects_reversal
+    assert TableSet(TableMode.BIDIRECTIONAL, replace(same, minus_um=np.array([1.0, 2.5, 3.0]))).corrects_reversal
+
+
 def test_tables_do_not_follow_their_source_and_cannot_be_written_to() -> None:
     source = np.array([1.0, 2.0])
     table = SingleTable(np.array([0.0, 1.0]), source)
