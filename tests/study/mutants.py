@@ -40,6 +40,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -394,10 +395,12 @@ class Children:
         self.jobs, self.limit_s = jobs, limit_s
         self.running: dict[int, tuple[str, Mutant, float]] = {}
 
-    def start(self, key: str, mutant: Mutant, work: Callable[[], int]) -> Iterator[tuple[str, Mutant, str]]:
+    def start(
+        self, key: str, mutant: Mutant, work: Callable[[], int], limit_s: float | None = None
+    ) -> Iterator[tuple[str, Mutant, str]]:
         while len(self.running) >= self.jobs:
             yield from self.ended()
-        self.running[child(work)] = (key, mutant, time.monotonic() + self.limit_s)
+        self.running[child(work)] = (key, mutant, time.monotonic() + (self.limit_s if limit_s is None else limit_s))
 
     def ended(self) -> Iterator[tuple[str, Mutant, str]]:
         pid, status = os.waitpid(-1, os.WNOHANG)
@@ -491,6 +494,7 @@ class InPlace:
     paths: list[Path]
     trial: Trial
     kept: Path
+    took_s: dict[str, float] = field(default_factory=dict)
 
     def pytest_runtestloop(self, session: Any) -> bool:
         from _pytest.main import pytest_runtestloop  # noqa: PLC0415  (the parent has loaded it before the fork)
@@ -506,7 +510,7 @@ class InPlace:
         tests_of: dict[str, list[str]] = {}
 
         def note(outcomes: Iterator[tuple[str, Mutant, str]]) -> None:
-            sure = ("killed", "survived") if self.trial.quick else ("killed",)
+            sure = ("killed", "survived", TIMED_OUT) if self.trial.quick else ("killed",)
             known.update((key, outcome) for key, _, outcome in outcomes if outcome in sure and tests_of[key])
 
         def work(swaps: list[tuple[types.FunctionType, types.CodeType]], tests: set[str]) -> int:
@@ -539,7 +543,11 @@ class InPlace:
                     places = [place for place, code in changed.items() if code != plain[place]]
                     tests = set().union(*(touching.get((str(path), *place), set()) for place in places))
                     tests_of[key] = [item.nodeid for item in session.items if item.nodeid in tests]
-                    note(self.trial.children.start(key, mutant, lambda swaps=swaps, tests=tests: work(swaps, tests)))  # type: ignore[misc]
+                    limit_s = 5.0 + 5.0 * sum(
+                        self.took_s.get(test, 1.0) for test in tests
+                    )  # a thread may wait for ever
+                    one = partial(work, swaps, tests)
+                    note(self.trial.children.start(key, mutant, one, limit_s))
         note(self.trial.children.rest())
         tests_of[""] = [item.nodeid for item in session.items]
         self.kept.write_bytes(pickle.dumps((known, tests_of)))
@@ -559,12 +567,12 @@ class InPlace:
             return 0
 
         os.waitpid(child(work), 0)
-        by_test, by_file, took_s = pickle.loads(self.kept.read_bytes())
+        by_test, by_file, self.took_s = pickle.loads(self.kept.read_bytes())
         in_file = Counter[str]()
         for item in session.items:
-            in_file[str(item.path)] += took_s.get(item.nodeid, 0.0)
+            in_file[str(item.path)] += self.took_s.get(item.nodeid, 0.0)
         quick_first = sorted(
-            session.items, key=lambda item: (in_file[str(item.path)], str(item.path), took_s.get(item.nodeid, 0.0))
+            session.items, key=lambda item: (in_file[str(item.path)], str(item.path), self.took_s.get(item.nodeid, 0.0))
         )
 
         def unchanged() -> int:
