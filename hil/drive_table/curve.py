@@ -77,7 +77,7 @@ class DriveCurve:
         if self.description.interpolation is Interpolation.LINEAR:
             found = np.interp(place_um, nodes, values)
         else:
-            found = values[np.clip(np.searchsorted(nodes, place_um, side="right") - 1, 0, len(nodes) - 1)]
+            found = values[np.maximum(np.searchsorted(nodes, place_um, side="right") - 1, 0)]
         if self.description.outside is Outside.ZERO:
             found = np.where((place_um < nodes[0]) | (place_um > nodes[-1]), 0.0, found)
         return np.asarray(found, dtype=np.float64)

@@ -19,7 +19,7 @@ from hil.parameters.preflight import (
 )
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.tasks import Progress, no_progress, run_together, serialized
-from hil.parameters.transaction import DriveJob, ended_in
+from hil.parameters.transaction import ended_in
 
 
 class Side(Enum):
@@ -50,7 +50,6 @@ class Comparison:
 
     drive: RawParameters
     contents: ParameterSet
-    job: DriveJob
     any_version: bool = False
     rows: list[Compared] = field(default_factory=list)
     objections: list[Objection] = field(default_factory=list)
@@ -90,7 +89,7 @@ def compare(
     pairs: Sequence[tuple[RawParameters, ParameterSet]], *, any_version: bool = False, progress: Progress = no_progress
 ) -> list[Comparison]:
     """Read the parameters of each set, drives side by side, and compare. Errors of a drive or its wire become `Comparison.error`."""
-    comparisons = [Comparison(drive, contents, DriveJob(drive), any_version) for drive, contents in pairs]
+    comparisons = [Comparison(drive, contents, any_version) for drive, contents in pairs]
     progress = serialized(progress)
     errors = run_together(comparisons, lambda each: each.drive, lambda each: _compare(each, progress))
     for comparison, error in zip(comparisons, errors, strict=True):
@@ -119,7 +118,6 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
     comparison.notes += [omitted] if omitted else []
     comparison.notes += notes_of_file(drive)
     accesses = yield from drive.read([each.address for each in wanted], tell)
-    comparison.job.latencies.note(comparison.job.latencies.read_s, accesses)
     differing: list[tuple[str, bytes]] = []
     shown: dict[str, bytes] = {}
     for each, access in zip(wanted, accesses, strict=True):

@@ -128,8 +128,9 @@ def write_any(path: Path, contents: ParameterSet, drive: RawParameters, form: st
         write_set(path, contents)
         return
     wanted, objections = match_set(drive, contents)
-    if objections and any(objection.address not in drive.entries for objection in objections):
-        raise InputError(f"cannot be written as {form}: {objections[0]}", path=path)
+    unknown = [objection for objection in objections if objection.address not in drive.entries]
+    if unknown:
+        raise InputError(f"cannot be written as {form}: {unknown[0]}", path=path)
     values: list[tuple[Key, bytes]] = []
     for each in wanted:
         if pdo_at(each.address) is not None:

@@ -12,7 +12,7 @@ from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, S
 from hil.parameters.preflight import notes_of_file, objections_to_file
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.tasks import Progress, no_progress, run_together, serialized
-from hil.parameters.transaction import DriveJob, ended_in
+from hil.parameters.transaction import ended_in
 
 
 @dataclass
@@ -20,7 +20,6 @@ class Backup:
     """Backup of one drive. contents: None on failure, then `error` says why; unreadable: address -> the drive's refusal."""
 
     drive: RawParameters
-    job: DriveJob
     contents: ParameterSet | None = None
     unreadable: dict[str, str] | None = None
     error: str = ""
@@ -34,7 +33,7 @@ def back_up(
 
     Errors of a drive or its wire become `Backup.error`.
     """
-    backups, progress = [Backup(drive, DriveJob(drive)) for drive in drives], serialized(progress)
+    backups, progress = [Backup(drive) for drive in drives], serialized(progress)
     errors = run_together(
         backups, lambda backup: backup.drive, lambda backup: _read(backup, name, everything, progress)
     )
@@ -58,7 +57,6 @@ def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> St
     backup.notes = (*(each.why for each in objections_to_file(drive, identity)), *notes_of_file(drive))
     starts = drive.restarts
     accesses = yield from drive.read([entry.address for entry in wanted], tell)
-    backup.job.latencies.note(backup.job.latencies.read_s, accesses)
     errors = [access.error for access in accesses]
     _refuse_silence(errors)
     if drive.restarts != starts:

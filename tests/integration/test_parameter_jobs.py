@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +12,7 @@ from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
 
 from drivers.clock import WallClock
 from drivers.errors import InputError, StateError
+from drivers.raw_parameters import DriveIdentity
 from hil.app.desk.progress import Phase, Progress
 from hil.app.desk.stop import StoppedByOperator
 from hil.app.jobs.job import Job, Workplace
@@ -20,7 +21,7 @@ from hil.machine.events import Event
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
 from hil.parameters.job import keep_set, set_files
-from hil.parameters.outcome import BackedUp
+from hil.parameters.outcome import BackedUp, kept_outcome
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
 from sim_backends.modbus_drive import tcp_server
@@ -105,6 +106,22 @@ def test_from_a_backup_to_stored_and_back(axis: DriveAxis, face: FortyFace) -> N
     assert (face.stores, face.flash) == (1, SIDES["new"])
     before = operator.runs(axis, parameters.restore_job(axis))  # the download, not the storing that changed nothing
     assert (report(before).ending, face.ram) == (Ending.WRITTEN, SIDES["old"])
+
+
+def test_a_set_of_another_version_is_refused_and_the_outcome_is_kept(axis: DriveAxis, face: FortyFace) -> None:
+    """The screen offers no way to allow one."""
+    operator = Operator()
+    other = replace(NEW, identity=DriveIdentity("modbus", {}, {"firmware": "another"}), hash=None)
+    compare = parameters.compare_job(axis, other)
+    assert not compare.plan.locked
+    found = operator.runs(axis, compare)
+    assert isinstance(found, Comparison)
+    assert ["firmware 'another'" in each.why for each in found.objections] == [True]
+    assert report(operator.runs(axis, parameters.download_job(axis, other))).ending is Ending.REFUSED
+    assert face.ram == SIDES["old"]
+    kept = kept_outcome(axis)
+    assert kept is not None
+    assert kept.outcome == "refused"
 
 
 def test_a_stop_in_the_middle_of_writing_puts_everything_back(axis: DriveAxis, face: FortyFace) -> None:

@@ -3,6 +3,8 @@
 `python tests/study/mutants.py` runs all rooms of `ROOMS`, `python tests/study/mutants.py effects figures` these. It prints a table
 (module, mutants, killed, survivors by group) and every survivor. `--json FILE` keeps the outcomes; with it a later run tries only
 what survived before (`--all` tries everything again). `--jobs 2` uses two processes. Run it by hand: it takes about an hour.
+`--quick` takes what survives in place as a survivor without importing it anew, and has hypothesis try 20 examples at the most: in a
+fraction of the time, and it may name a few too many. `--sample 200` tries so many of each room, drawn with `--seed`.
 
 Each mutant is one changed node of the syntax tree: signs, factors, numbers, comparisons (turned over, or at their boundary),
 boolean decisions, calls left out, min against max and the like. Text for people, type annotations and decorators stay. The tests of
@@ -26,6 +28,7 @@ import inspect
 import json
 import os
 import pickle
+import random
 import signal
 import sys
 import tempfile
@@ -37,6 +40,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +89,14 @@ ROOMS = {
             *(f"{UNIT}/correction/test_{name}.py" for name in (*RISES, "lost_motion_engine")),
         ),
     ),
-    "sealed": Room(("hil/correction/sealed/*.py",), (f"{UNIT}/correction/test_sealed.py",)),
+    "sealed": Room(
+        ("hil/correction/sealed/*.py",),
+        (
+            *(f"{UNIT}/correction/test_{name}.py" for name in ("sealed", "seen")),
+            "tests/hostile/test_files.py",
+            "tests/unit/test_security_page.py",
+        ),
+    ),
     "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
     "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
     "parameters": Room(
@@ -93,7 +104,10 @@ ROOMS = {
         (
             f"{UNIT}/parameters",
             "tests/integration/test_parameter_jobs.py",
-            *(f"tests/integration/test_params_{name}.py" for name in ("download", "dcf", "lines", "verb")),
+            *(f"tests/integration/test_params_{name}.py" for name in ("download", "dcf", "lines", "verb", "table_verb")),
+            # they take most of the time
+            "--deselect=tests/integration/test_params_dcf.py::test_all_published_device_dcfs_pass_a_dry_run",
+            "--deselect=tests/integration/test_parameter_jobs.py::test_what_the_screen_says_of_each_outcome",
         ),
     ),
     "correction": Room(
@@ -103,7 +117,10 @@ ROOMS = {
             for name in ("fold", "tables", "manual", "correction_bound", "compensation")
         ),
     ),
-    "drive_table": Room(("hil/drive_table/curve.py", "hil/drive_table/quantise.py"), (f"{UNIT}/drive_table",)),
+    "drive_table": Room(
+        tuple(f"hil/drive_table/{name}.py" for name in ("curve", "quantise", "proof", "change")),
+        (f"{UNIT}/drive_table", "tests/integration/test_drive_table_proof.py"),
+    ),
 }
 
 SIGN, FACTOR, NUMBER = "sign", "factor or unit", "number"
@@ -301,12 +318,27 @@ class FromTree(importlib.machinery.SourceFileLoader):
         return compile(self.tree, self.path, "exec", dont_inherit=True)
 
 
-def run_tests(tests: tuple[str, ...], plugins: tuple[object, ...] = ()) -> int:
+class FewExamples:
+    """pytest plugin: hypothesis tries no more than 20 examples of any test."""
+
+    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
+        from hypothesis import settings  # noqa: PLC0415
+
+        for item in items:
+            function: Any = getattr(item.obj, "__func__", item.obj)
+            own = getattr(function, "_hypothesis_internal_use_settings", None)
+            if own is not None and own.max_examples > 20:
+                function._hypothesis_internal_use_settings = settings(own, max_examples=20)
+
+
+def run_tests(tests: tuple[str, ...], plugins: tuple[object, ...] = (), *, quick: bool = False) -> int:
     """pytest over `tests` in this process, first failure ends it, no shrinking of what hypothesis finds."""
     from hypothesis import HealthCheck, Phase, settings  # noqa: PLC0415
 
-    quick = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
-    settings.register_profile("mutants", derandomize=True, phases=[Phase.explicit, Phase.generate], **quick)
+    plugins = (*plugins, FewExamples()) if quick else plugins
+
+    plain: dict[str, Any] = {"deadline": None, "database": None, "suppress_health_check": list(HealthCheck)}
+    settings.register_profile("mutants", derandomize=True, phases=[Phase.explicit, Phase.generate], **plain)
     settings.load_profile("mutants")
     late = "ignore::pytest.PytestAssertRewriteWarning"  # hypothesis is loaded before pytest here
     options = ["-W", late, "-x", "-q", "-n", "0", "-p", "no:cacheprovider", "--tb=no"]
@@ -331,12 +363,12 @@ def child(work: Callable[[], int]) -> int:
         os._exit(status)
 
 
-def warm_up(tests: tuple[str, ...]) -> float:
+def warm_up(tests: tuple[str, ...], quick: bool) -> float:
     """Check that the tests pass as things are, load here what they load from elsewhere; the seconds they take."""
     kept = Path(os.environ["PYTEST_DEBUG_TEMPROOT"]) / "loaded.pickle"
 
     def work() -> int:
-        status = run_tests(tests)
+        status = run_tests(tests, quick=quick)
         kept.write_bytes(pickle.dumps([(n, getattr(m, "__file__", None)) for n, m in sys.modules.items()]))
         return status
 
@@ -363,10 +395,12 @@ class Children:
         self.jobs, self.limit_s = jobs, limit_s
         self.running: dict[int, tuple[str, Mutant, float]] = {}
 
-    def start(self, key: str, mutant: Mutant, work: Callable[[], int]) -> Iterator[tuple[str, Mutant, str]]:
+    def start(
+        self, key: str, mutant: Mutant, work: Callable[[], int], limit_s: float | None = None
+    ) -> Iterator[tuple[str, Mutant, str]]:
         while len(self.running) >= self.jobs:
             yield from self.ended()
-        self.running[child(work)] = (key, mutant, time.monotonic() + self.limit_s)
+        self.running[child(work)] = (key, mutant, time.monotonic() + (self.limit_s if limit_s is None else limit_s))
 
     def ended(self) -> Iterator[tuple[str, Mutant, str]]:
         pid, status = os.waitpid(-1, os.WNOHANG)
@@ -381,6 +415,20 @@ class Children:
     def rest(self) -> Iterator[tuple[str, Mutant, str]]:
         while self.running:
             yield from self.ended()
+
+
+@dataclass(eq=False)
+class Trial:
+    """What is tried in a room: the mutants `chosen`, by key, but those whose outcome is `known`; quick: see the module's text."""
+
+    chosen: set[str]
+    known: dict[str, str]
+    children: Children
+    quick: bool
+
+    def open(self, key: str) -> bool:
+        """Whether a mutant is to be tried."""
+        return key in self.chosen and key not in self.known
 
 
 def functions_of(code: types.CodeType) -> dict[tuple[str, int], types.CodeType]:
@@ -401,9 +449,11 @@ Place = tuple[str, str, int]
 
 @dataclass(eq=False)
 class Called:
-    """pytest plugin: which functions of some files each test calls, and each file's tests while they are prepared."""
+    """pytest plugin: which functions of some files each test calls, and each file's tests while they are prepared; the time of each,
+    s."""
 
     files: set[str]
+    took_s: dict[str, float] = field(default_factory=dict)
     by_test: dict[str, set[Place]] = field(default_factory=dict)
     by_file: dict[str, set[Place]] = field(default_factory=dict)
     now: set[Place] = field(default_factory=set)
@@ -429,7 +479,9 @@ class Called:
 
     @pytest.hookimpl(hookwrapper=True)
     def pytest_runtest_call(self, item: Any) -> Iterator[None]:
+        began = time.monotonic()
         yield from self._into(self.by_test.setdefault(item.nodeid, set()))
+        self.took_s[item.nodeid] = time.monotonic() - began
 
 
 @dataclass(eq=False)  # pytest keeps plugins in sets
@@ -440,9 +492,9 @@ class InPlace:
     """
 
     paths: list[Path]
-    known: dict[str, str]
-    children: Children
+    trial: Trial
     kept: Path
+    took_s: dict[str, float] = field(default_factory=dict)
 
     def pytest_runtestloop(self, session: Any) -> bool:
         from _pytest.main import pytest_runtestloop  # noqa: PLC0415  (the parent has loaded it before the fork)
@@ -454,11 +506,12 @@ class InPlace:
                 live.setdefault((code.co_filename, code.co_qualname, code.co_firstlineno), []).append(one)
 
         touching = self.touching(session)
-        killed: list[str] = []
+        known: dict[str, str] = {}
         tests_of: dict[str, list[str]] = {}
 
         def note(outcomes: Iterator[tuple[str, Mutant, str]]) -> None:
-            killed.extend(key for key, _, outcome in outcomes if outcome == "killed")
+            sure = ("killed", "survived", TIMED_OUT) if self.trial.quick else ("killed",)
+            known.update((key, outcome) for key, _, outcome in outcomes if outcome in sure and tests_of[key])
 
         def work(swaps: list[tuple[types.FunctionType, types.CodeType]], tests: set[str]) -> int:
             for function, code in swaps:
@@ -474,7 +527,7 @@ class InPlace:
             tree, found = mutants_of(path)
             plain = functions_of(compile(tree, str(path), "exec", dont_inherit=True))
             for key, mutant in found:
-                if key in self.known:
+                if not self.trial.open(key):
                     continue
                 mutant.put(True)
                 changed = functions_of(compile(tree, str(path), "exec", dont_inherit=True))
@@ -489,15 +542,20 @@ class InPlace:
                 if swaps:
                     places = [place for place, code in changed.items() if code != plain[place]]
                     tests = set().union(*(touching.get((str(path), *place), set()) for place in places))
-                    tests_of[key] = sorted(tests)
-                    note(self.children.start(key, mutant, lambda swaps=swaps, tests=tests: work(swaps, tests)))  # type: ignore[misc]
-        note(self.children.rest())
-        self.kept.write_bytes(pickle.dumps((killed, tests_of)))
+                    tests_of[key] = [item.nodeid for item in session.items if item.nodeid in tests]
+                    limit_s = 5.0 + 5.0 * sum(
+                        self.took_s.get(test, 1.0) for test in tests
+                    )  # a thread may wait for ever
+                    one = partial(work, swaps, tests)
+                    note(self.trial.children.start(key, mutant, one, limit_s))
+        note(self.trial.children.rest())
+        tests_of[""] = [item.nodeid for item in session.items]
+        self.kept.write_bytes(pickle.dumps((known, tests_of)))
         return True
 
     def touching(self, session: Any) -> dict[Place, set[str]]:
         """The tests that call each function of the modules. What the preparation of a test calls is put down to all tests of its file,
-        as they may share what was prepared."""
+        as they may share what was prepared. Puts the quickest files and tests first, if they pass so."""
         from _pytest.main import pytest_runtestloop  # noqa: PLC0415  (as above)
 
         called = Called({str(path) for path in self.paths})
@@ -505,11 +563,25 @@ class InPlace:
         def work() -> int:
             session.config.pluginmanager.register(called)
             pytest_runtestloop(session)
-            self.kept.write_bytes(pickle.dumps((called.by_test, called.by_file)))
+            self.kept.write_bytes(pickle.dumps((called.by_test, called.by_file, called.took_s)))
             return 0
 
         os.waitpid(child(work), 0)
-        by_test, by_file = pickle.loads(self.kept.read_bytes())
+        by_test, by_file, self.took_s = pickle.loads(self.kept.read_bytes())
+        in_file = Counter[str]()
+        for item in session.items:
+            in_file[str(item.path)] += self.took_s.get(item.nodeid, 0.0)
+        quick_first = sorted(
+            session.items, key=lambda item: (in_file[str(item.path)], str(item.path), self.took_s.get(item.nodeid, 0.0))
+        )
+
+        def unchanged() -> int:
+            session.items = quick_first
+            pytest_runtestloop(session)
+            return 1 if session.testsfailed else 0
+
+        if os.waitstatus_to_exitcode(os.waitpid(child(unchanged), 0)[1]) == 0:
+            session.items = quick_first
         found: dict[Place, set[str]] = {}
         for item in session.items:
             for place in by_test.get(item.nodeid, set()) | by_file.get(str(item.path), set()):
@@ -517,39 +589,37 @@ class InPlace:
         return found
 
 
-def killed_in_place(
-    paths: list[Path], tests: tuple[str, ...], known: dict[str, str], children: Children
-) -> tuple[dict[str, str], dict[str, list[str]]]:
-    """The outcomes known so far, and the tests that can notice each mutant of a function's body."""
+def killed_in_place(paths: list[Path], tests: tuple[str, ...], trial: Trial) -> dict[str, list[str]]:
+    """Adds outcomes to those known; the tests that can notice each mutant of a function's body, by "" all, the quickest first."""
     kept = Path(os.environ["PYTEST_DEBUG_TEMPROOT"]) / "killed.pickle"
-    os.waitpid(child(lambda: run_tests(tests, (InPlace(paths, known, children, kept),))), 0)
-    killed, tests_of = pickle.loads(kept.read_bytes())
+    plugin = InPlace(paths, trial, kept)
+    os.waitpid(child(lambda: run_tests(tests, (plugin,), quick=trial.quick)), 0)
+    found, tests_of = pickle.loads(kept.read_bytes())
     kept.unlink()
-    return known | dict.fromkeys(killed, "killed"), tests_of
+    trial.known.update(found)
+    return tests_of  # type: ignore[no-any-return]
 
 
-def try_all(
-    path: Path, tests: tuple[str, ...], tests_of: dict[str, list[str]], known: dict[str, str], children: Children
-) -> Iterator[tuple[str, Mutant, str]]:
-    """(key, mutant, outcome) of every mutant of one module, imported anew; outcomes in `known` are not tried again.
+def try_all(path: Path, tests_of: dict[str, list[str]], trial: Trial) -> Iterator[tuple[str, Mutant, str]]:
+    """(key, mutant, outcome) of every chosen mutant of one module, imported anew where the outcome is not known.
 
-    tests_of: the tests that can notice a mutant, where that is known; all of them for others."""
+    tests_of: the tests that can notice a mutant, where that is known; those of "" for others."""
     tree, found = mutants_of(path)
     name = ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
     def work(tests: tuple[str, ...]) -> int:
         sys.meta_path.insert(0, FromTree(name, path, tree))  # type: ignore[arg-type]
-        return run_tests(tests)
+        return run_tests(tests, quick=trial.quick)
 
     for key, mutant in found:
-        if key in known:
-            yield key, mutant, known[key]
-            continue
-        mutant.put(True)
-        those = tuple(tests_of.get(key, ())) or tests
-        yield from children.start(key, mutant, lambda those=those: work(those))  # type: ignore[misc]
-        mutant.put(False)
-    yield from children.rest()
+        if trial.open(key):
+            mutant.put(True)
+            those = tuple(tests_of.get(key) or tests_of[""])
+            yield from trial.children.start(key, mutant, lambda those=those: work(those))  # type: ignore[misc]
+            mutant.put(False)
+        elif key in trial.chosen:
+            yield key, mutant, trial.known[key]
+    yield from trial.children.rest()
 
 
 def main() -> None:
@@ -558,6 +628,9 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--json", type=Path, help="outcomes, kept and taken up again")
     parser.add_argument("--all", action="store_true", help="try again what was killed before")
+    parser.add_argument("--quick", action="store_true", help="what survives in place is not imported anew")
+    parser.add_argument("--sample", type=int, default=0, help="so many mutants of each room, 0 for all")
+    parser.add_argument("--seed", type=int, default=1, help="of the sample")
     parser.add_argument("--only", default="", help="only modules whose path contains this")
     given = parser.parse_args()
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"}
@@ -576,13 +649,20 @@ def run(given: argparse.Namespace) -> None:
     survivors: list[str] = []
     for name in given.rooms or ROOMS:
         room = ROOMS[name]
-        children = Children(given.jobs, 10.0 + 4.0 * warm_up(room.tests))
+        children = Children(given.jobs, 10.0 + 4.0 * warm_up(room.tests, given.quick))
         paths = sorted(p for pattern in room.modules for p in ROOT.glob(pattern) if given.only in str(p))
-        known, tests_of = killed_in_place(paths, room.tests, known, children)
+        chosen = [key for path in paths for key, _ in mutants_of(path)[1]]
+        if given.sample and given.sample < len(chosen):
+            chosen = random.Random(given.seed).sample(chosen, given.sample)
+        trial = Trial(set(chosen), known, children, given.quick)
+        tests_of = killed_in_place(paths, room.tests, trial)
         for path in paths:
             every, left = Counter[str](), Counter[str]()
-            outcomes = {k: v for k, v in outcomes.items() if not k.startswith(f"{path.relative_to(ROOT)}: ")}
-            for key, mutant, outcome in try_all(path, room.tests, tests_of, known, children):
+            present = {key for key, _ in mutants_of(path)[1]}
+            outcomes = {
+                k: v for k, v in outcomes.items() if k in present or not k.startswith(f"{path.relative_to(ROOT)}: ")
+            }
+            for key, mutant, outcome in try_all(path, tests_of, trial):
                 every[mutant.group] += 1
                 outcomes[key] = outcome
                 if outcome == "survived":

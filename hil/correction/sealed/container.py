@@ -32,7 +32,6 @@ from hil.correction.sealed.errors import (
 from hil.records.files import parse_json
 
 MAGIC = b"HILSEAL"
-VERSION = 2
 VERSIONS = (1, 2)
 """What is read: files of version 1 carry no binding. Written is the last."""
 _ENTRY_VERSION = 1

@@ -168,6 +168,31 @@ def test_the_worst_place_is_named(tables: TableSet, said: str) -> None:
         Compensation(tables).check(CAREFUL, "tables")
 
 
+def test_just_the_bound_is_inside_it() -> None:
+    """500 µm and 10 µm within a millimetre; a level table has no slope, whatever slope is allowed."""
+    bound = CorrectionBound(500.0, 10.0)
+    bound.check_values("tables", [0.0, 1.0], [1, -1], [500.0, -500.0])
+    bound.check_curves("tables", [0.0, 1.0, 2.0], {1: [490.0, 500.0, 500.0], -1: [0.0, -10.0, 0.0]})
+    bound.check_command(1, [10.0, 9.5, 10.5], [500.0, 490.0, 500.0])
+    CorrectionBound(500.0, 0.1).check_curves("tables", [0.0, 100.0], {1: [5.0, 5.0], -1: [-5.0, -5.0]})
+    with pytest.raises(CorrectionBoundError, match=r"500.1 µm at 0 mm"):
+        bound.check_values("tables", 0.0, 1, 500.1)
+    with pytest.raises(CorrectionBoundError, match=r"changes by 10.1 µm between 9.5 and 10.5 mm"):
+        bound.check_command(1, [10.0, 9.5, 10.5], [0.0, -5.05, 5.05])
+
+
+def test_straightness_of_the_axis_itself_counts_with_the_rest_and_of_no_table_not_at_all() -> None:
+    """30 µm of straightness take 30 µm of pitch back; an axis that is named without a table is moved by none."""
+    at = np.array([0.0, 100.0])
+    level = bidirectional([0, 100], [-30.0, -30.0])
+    own = replace(level, straightness=SingleTable(at, np.full(2, 30.0)))
+    Compensation(own).check(CorrectionBound(1.0), "tables")
+    Compensation(replace(level, straightness_axis="Y")).check(CorrectionBound(31.0), "tables")
+    across = replace(level, straightness=SingleTable(at, np.full(2, 40.0)), straightness_axis="Y")
+    with pytest.raises(CorrectionBoundError, match=r"to axis Y: \+40 µm"):
+        Compensation(across).check(CorrectionBound(35.0), "tables")
+
+
 def test_an_effect_of_position_counts_with_the_tables() -> None:
     class Steep:
         needs = ("target_mm",)

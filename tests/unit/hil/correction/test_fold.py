@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InputError
-from hil.correction.compensation import Compensation
+from hil.correction.compensation import Columns, Compensation
 from hil.correction.fold import folded
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects import ALL, Term, term_from_json
+from hil.records.rows import Floats
 
 NODES = np.arange(0.0, 401.0, 20.0)
 
@@ -84,3 +87,28 @@ def test_a_backlash_on_places_of_its_own_stays_what_it_is() -> None:
     tables = TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, DirectionalTable(ends, np.zeros(2), np.zeros(2)), backlash)
     found = folded(Compensation(tables, (cyclic(1000.0, 0.01),))).tables
     assert found.correction_um([45.0, 90.0], -1) == pytest.approx([-25.0, -40.0], abs=0.06)
+
+
+@dataclass(frozen=True)
+class Bow:
+    """An error that grows with the square of the position, arrived at in one direction alone: µm/mm²."""
+
+    um_per_mm2: float
+    arrived: int
+    needs: tuple[str, ...] = ("target_mm", "direction")
+
+    def error_um(self, columns: Columns) -> Floats:
+        return np.where(columns["direction"] == self.arrived, self.um_per_mm2 * columns["target_mm"] ** 2, 0.0)
+
+
+@pytest.mark.parametrize("arrived", [1, -1])
+@pytest.mark.parametrize(("um_per_mm2", "nodes_mm"), [(0.00048, [0.0, 20.0]), (0.00052, [0.0, 10.0, 20.0])])
+def test_a_stretch_is_halved_where_a_line_leaves_the_effect(
+    um_per_mm2: float, nodes_mm: list[float], arrived: int
+) -> None:
+    """Midway in 20 mm a line is 100 mm² times the coefficient above the parabola: 0.048 µm, or 0.052 of the 0.05 that are allowed."""
+    start = Compensation(TableSet.zero(np.array([0.0, 20.0])), (Bow(um_per_mm2, arrived),))
+    found = folded(start).tables.pitch
+    assert found.position_mm.tolist() == nodes_mm
+    assert float(found.at(20.0, arrived)) == pytest.approx(-400.0 * um_per_mm2)
+    assert float(found.at(20.0, -arrived)) == 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import hashlib
 import json
 import os
@@ -44,6 +45,8 @@ from hil.correction.sealed import (
     new_key,
     open_sealed,
     read_sealed,
+    require_strong,
+    require_strong_new,
     reseal,
     resign,
     save_private_key,
@@ -53,7 +56,7 @@ from hil.correction.sealed import (
     write_sealed,
 )
 from hil.correction.sealed.container import unpack
-from hil.correction.sealed.keys import KEY_COST, _integer, _tagged
+from hil.correction.sealed.keys import KEY_COST, _check_cost, _integer, _parts, _tagged
 from hil.correction.sealed.sealing import _DOMAIN
 from hil.records import files
 
@@ -298,6 +301,26 @@ def test_a_binding_is_bounded_and_plain() -> None:
     for value in (float("nan"), {1, 2}):
         with pytest.raises(InputError, match="no JSON"):
             seal(ENTRIES, "x", BUILDER, cost=CHEAP, bound_to={"value": value})
+
+
+def test_the_largest_binding_is_sealed_and_opens() -> None:
+    """32 KiB of JSON."""
+    beside = len('{"counter":1,"date":"2026-01-01T00:00:00+00:00","of":{"long":""}}')
+    largest = {"long": "x" * (32_768 - beside)}
+    binding = check(seal(ENTRIES, "x", BUILDER, cost=CHEAP, bound_to=largest), PUBLIC).binding
+    assert binding is not None
+    assert binding.of == largest
+    with pytest.raises(InputError, match="has 32769 bytes"):
+        seal(ENTRIES, "x", BUILDER, cost=CHEAP, bound_to={"long": largest["long"] + "x"})
+
+
+def test_a_binding_is_written_sorted_and_in_ascii() -> None:
+    """One spelling, whatever order the names came in: "ä" is U+00E4."""
+    data = seal(ENTRIES, "x", BUILDER, cost=CHEAP, bound_to={"b": "ä", "a": 2})
+    assert b'"of":{"a":2,"b":"\\u00e4"}' in data[: header_end(data)]
+    binding = check(data, PUBLIC).binding
+    assert binding is not None
+    assert binding.of == {"a": 2, "b": "ä"}
 
 
 @pytest.mark.parametrize(
@@ -660,6 +683,79 @@ def test_key_files(tmp_path: Path) -> None:
     for save in (lambda p: save_private_key(p, key, "builder of mine"), lambda p: save_public_key(p, key.public_key())):
         with pytest.raises(InputError, match="never overwritten"):
             save(tmp_path / "b.key")
+
+
+@pytest.mark.parametrize(
+    ("password", "strong"),
+    [
+        ("abcdeabcdeabcde", True),  # 15 characters, 5 of them different
+        ("abcdeabcdeabcd", False),
+        ("abcdabcdabcdabc", False),
+        ("bcdefbcdefbcdf\u00e4", True),
+        ("bcdefbcdefbcda\u0308", False),  # two code points, one character: 14 in all
+        ("bcdefbcdefbcd\ufb01", False),  # a ligature is one: 14 in all, 15 letters
+    ],
+)
+def test_how_long_a_new_password_has_to_be(password: str, strong: bool) -> None:
+    """NIST SP 800-63B-4, 3.1.1.2: 15 characters at least, each code point one; five different ones are this program's own."""
+    if strong:
+        require_strong(password, "password")
+    else:
+        with pytest.raises(InputError, match="expected at least 15, 5 of them different"):
+            require_strong(password, "password")
+
+
+def test_only_a_new_password_has_to_be_strong() -> None:
+    """One that opens its entry in the file there is may be as weak as it is; of another entry it is new."""
+    there = seal({"a": b"1", "b": b"2"}, {"a": "weak", "b": "other"}, BUILDER, cost=CHEAP)
+    require_strong_new({"a": "weak", "b": "other", "c": "a strong new password"}, there, PUBLIC)
+    require_strong_new({"a": "a strong new password"}, None, PUBLIC)
+    for passwords, present in (({"a": "weak"}, None), ({"b": "weak"}, there), ({"c": "weak"}, there)):
+        with pytest.raises(InputError, match=f"password of {next(iter(passwords))} is new"):
+            require_strong_new(passwords, present, PUBLIC)
+
+
+def test_a_file_has_the_cost_that_was_asked_for() -> None:
+    assert check(seal({"a": b""}, "x", BUILDER, cost=Cost(4, 3, 2)), PUBLIC).kdf == "scrypt n=4 r=3 p=2"
+
+
+def test_values_in_der_are_taken_apart() -> None:
+    """X.690, 8.1.3: a length of up to 127 in one byte, else in as many as the first one says, of which four are taken."""
+    two = bytes.fromhex("020105 30840000000203ff")
+    assert list(_parts(two)) == [b"\x05", b"\x03\xff"]
+    assert list(_parts(bytes.fromhex("3082000130"), 0x30)) == [b"0"]
+    for bad in ("3085000000000130", "300203", "308200033030", "30820002"):
+        with pytest.raises(ValueError, match="no DER"):
+            list(_parts(bytes.fromhex(bad)))
+    with pytest.raises(ValueError, match="no DER"):
+        list(_parts(bytes.fromhex("020105"), 0x30))
+
+
+def _asks_for(derivation: bytes) -> bytes:
+    """An encrypted private key in DER whose scheme, PBES2, has this key derivation (RFC 8018, A.4)."""
+    pbes2 = bytes.fromhex("06092a864886f70d01050d")
+    return _tagged(48, _tagged(48, pbes2 + _tagged(48, derivation + _tagged(48, b""))) + _tagged(4, b"c" * 64))
+
+
+@pytest.mark.parametrize(("rounds", "good"), [(0, False), (1, True), (4_194_304, True), (4_194_305, False)])
+def test_how_many_rounds_a_key_may_ask_for(rounds: int, good: bool) -> None:
+    """As the page on security has it, 2²² at most. The identifier is PBKDF2's (RFC 8018, A.2)."""
+    values = _tagged(48, _tagged(4, b"s" * 16) + _integer(rounds))
+    asked = _asks_for(_tagged(48, bytes.fromhex("06092a864886f70d01050c") + values))
+    with contextlib.nullcontext() if good else pytest.raises(CostError, match="1 to 4194304"):
+        _check_cost(asked)
+
+
+@pytest.mark.parametrize(
+    ("cost", "good"), [((2**18, 8, 1), True), ((2**18, 9, 1), False), ((2**15, 8, 33), False), ((2**15, 8, 32), True)]
+)
+def test_how_much_scrypt_a_key_may_ask_for(cost: tuple[int, int, int], good: bool) -> None:
+    """256 MiB, and n·r·p of 2²³. Identifier and order of the values by RFC 7914, 7.1."""
+    for key_length in (b"", _integer(32)):  # it may follow
+        values = _tagged(48, _tagged(4, b"s" * 16) + b"".join(map(_integer, cost)) + key_length)
+        asked = _asks_for(_tagged(48, bytes.fromhex("06092b06010401da47040b") + values))
+        with contextlib.nullcontext() if good else pytest.raises(CostError):
+            _check_cost(asked)
 
 
 def test_a_new_key_from_a_script_has_a_password_of_the_least_strength(tmp_path: Path) -> None:

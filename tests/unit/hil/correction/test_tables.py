@@ -19,11 +19,14 @@ from hil.correction.tables import (
     Band,
     DirectionalTable,
     Outside,
+    SectionMeans,
+    SignedSections,
     SingleTable,
     TableMode,
     TableSet,
     compute_tables,
     initial_specified,
+    judge,
     revise,
     revised_value_um,
     section_means,
@@ -278,6 +281,18 @@ def test_a_direction_that_is_neither_plus_nor_minus_is_refused_not_guessed(direc
             tables.correction_um(at, direction)
 
 
+def test_scaled_corrections_are_so_many_times_as_large() -> None:
+    scaled = DirectionalTable(np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.array([3.0, -4.0])).scaled(4.0)
+    assert (scaled.plus_um.tolist(), scaled.minus_um.tolist()) == ([4.0, 8.0], [12.0, -16.0])
+
+
+def test_tables_whose_directions_differ_at_one_place_correct_a_reversal() -> None:
+    at = np.array([0.0, 50.0, 100.0])
+    same = DirectionalTable(at, np.array([1.0, 2.0, 3.0]), np.array([1.0, 2.0, 3.0]))
+    assert not TableSet(TableMode.BIDIRECTIONAL, same).corrects_reversal
+    assert TableSet(TableMode.BIDIRECTIONAL, replace(same, minus_um=np.array([1.0, 2.5, 3.0]))).corrects_reversal
+
+
 def test_tables_do_not_follow_their_source_and_cannot_be_written_to() -> None:
     source = np.array([1.0, 2.0])
     table = SingleTable(np.array([0.0, 1.0]), source)
@@ -519,6 +534,89 @@ def test_sections_outside_are_the_measured_ones_only() -> None:
     found = sections_outside(section_means(rows), BAND)
     assert [(section.target_mm, section.direction) for section in found] == [(10.0, 1), (20.0, 1)]
     assert [str(section) for section in found] == ["10 mm + (+5.90 µm)", "20 mm + (+7.10 µm)"]
+
+
+SIGNED = Band(6.0, 7.0, (SignedSections(200.0, 250.0, -1, -1), SignedSections(100.0, 200.0, -1, 1)))
+"""-7 to -6 µm from 100 to 250 mm in the + direction, from 200 to 250 mm in the - direction; 6 to 7 µm everywhere else."""
+
+
+def test_the_sign_of_a_band_is_that_of_the_section_and_direction() -> None:
+    places = [99.999, 100.0, 199.999, 200.0, 249.999, 250.0]
+    assert [SIGNED.at(place, 1).low_um for place in places] == [6.0, -7.0, -7.0, -7.0, -7.0, 6.0]
+    assert [SIGNED.at(place, -1).high_um for place in places] == [7.0, 7.0, 7.0, -6.0, -6.0, 7.0]
+    first = initial_specified(np.array([0.0, 100.0, 225.0]), SIGNED)
+    assert (first.plus_um.tolist(), first.minus_um.tolist()) == ([6.5, -6.5, -6.5], [6.5, 6.5, -6.5])
+    unlike, like = Band(-7.0, -6.0), Band(6.0, 7.0)
+    assert SIGNED.stretches(50.0, 300.0) == [
+        (50.0, 100.0, like, like),
+        (100.0, 200.0, unlike, like),
+        (200.0, 250.0, unlike, unlike),
+        (250.0, 300.0, like, like),
+    ]
+    assert SIGNED.stretches(100.0, 200.0) == [(100.0, 200.0, unlike, like)]
+    assert (str(like), str(SIGNED)) == ("6 to 7 µm", "6 to 7 µm, with the signs of its sections")
+    assert [like.nearest_um(error) for error in (5.0, 6.4, 8.0)] == [6.0, 6.4, 7.0]
+
+
+def test_signs_of_sections_that_contradict_each_other_are_refused() -> None:
+    with pytest.raises(InputError, match="sections from 150 mm have two signs, another ends at 200 mm"):
+        Band(6.0, 7.0, (SignedSections(150.0, 250.0), SignedSections(100.0, 200.0)))
+    with pytest.raises(InputError, match="from 5 to 5 mm, expected from_mm < to_mm"):
+        SignedSections(5.0, 5.0)
+    for signs in ((0, 1), (1, 2)):
+        with pytest.raises(InputError, match="expected 1 or -1"):
+            SignedSections(0.0, 5.0, *signs)
+
+
+@pytest.mark.parametrize(
+    ("place_mm", "direction", "between"),
+    [
+        (75.0, 1, (50.0, 100.0)),
+        (75.0, -1, None),
+        (225.0, -1, None),  # 200 and 240 mm have the same sign
+        (190.0, -1, (100.0, 200.0)),
+        (50.0, 1, None),
+        (50.0 + 0.9e-6, 1, None),  # a target to the nanometre
+        (50.0 + 2e-6, 1, (50.0, 100.0)),
+        (100.0 - 0.9e-6, 1, None),
+        (100.0 - 2e-6, 1, (50.0, 100.0)),
+        (20.0, 1, None),  # before the first and beyond the last target its correction holds
+        (300.0, 1, None),
+    ],
+)
+def test_between_targets_of_different_sign_no_band_is_asked_for(
+    place_mm: float, direction: int, between: tuple[float, float] | None
+) -> None:
+    targets = [50.0, 100.0, 200.0, 240.0]
+    assert SIGNED.unlike_targets(place_mm, direction, targets) == between
+    assert BAND.unlike_targets(place_mm, direction, targets) is None
+    assert SIGNED.unlike_targets(place_mm, direction, []) is None
+
+
+def test_what_is_not_judged_is_not_outside() -> None:
+    """At 75 mm the + direction lies between 6.5 at 50 and -6.5 µm at 100 mm; the - direction was not measured at 100 mm."""
+    at = np.array([50.0, 75.0, 100.0])
+    means = SectionMeans(at, np.array([6.5, 0.0, 6.5]), np.array([7.5, 7.5, np.nan]), 0.1)
+    outside, unlike = judge(means, SIGNED, [50.0, 100.0])
+    assert [(one.target_mm, one.direction, one.error_um) for one in outside] == [
+        (50.0, -1, 7.5),
+        (75.0, -1, 7.5),
+        (100.0, 1, 6.5),
+    ]
+    assert [(one.target_mm, one.direction, one.low_mm, one.high_mm) for one in unlike] == [(75.0, 1, 50.0, 100.0)]
+    assert str(unlike[0]).startswith("75 mm +, between the targets 50 and 100 mm: ")
+    swapped = SectionMeans(at, np.full(3, 5.0), np.full(3, 5.0), 0.1)
+    found = judge(swapped, replace(SIGNED, signs=(SignedSections(60.0, 300.0, -1, -1),)), [50.0, 100.0])
+    assert [(one.target_mm, one.direction) for one in found[0]] == [(50.0, 1), (50.0, -1), (100.0, 1), (100.0, -1)]
+    assert [(one.target_mm, one.direction) for one in found[1]] == [(75.0, 1), (75.0, -1)]
+
+
+def test_a_revision_aims_at_the_band_with_its_sign() -> None:
+    """-6.5 µm wanted and -5 µm measured: 1.5 µm less; a fine step of 0.1 µm goes down."""
+    table = DirectionalTable.constant(np.array([150.0]), -6.0)
+    section = Outside(150.0, 1, -5.0)
+    assert revise(table, [section], SIGNED).plus_um[0] == pytest.approx(-7.5)
+    assert revise(table, [section], SIGNED, fine_step_um=0.1).plus_um[0] == pytest.approx(-6.1)
 
 
 def test_a_band_narrower_than_the_repeatability_is_refused_with_both_figures() -> None:

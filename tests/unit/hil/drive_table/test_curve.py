@@ -127,3 +127,18 @@ def test_a_step_is_no_slope_to_the_bound(direction: int) -> None:
     check_curve(straight, limits, CorrectionBound())
     with pytest.raises(CorrectionBoundError, match=r"changes by 12 µm between"):
         check_curve(curve(direction, straight.raw, interpolation=Interpolation.STEP), limits, CorrectionBound())
+
+
+def test_two_steps_less_than_a_mm_apart_are_one_change_to_the_bound() -> None:
+    """6 µm at 20 mm and 6 more at 20.95: 12 within the mm from right before the first to the second."""
+    stairs = curve(raw=RawTable((0, 120, 240), (0, 120, 240), (0, 200_000, 209_500)), interpolation=Interpolation.STEP)
+    with pytest.raises(CorrectionBoundError, match=r"changes by 12 µm between 20 and 20\.95 mm"):
+        check_curve(stairs, DriveLimits(0.0, 40.0, 200.0, 2000.0), CorrectionBound())
+
+
+@pytest.mark.parametrize(("plus", "minus", "way"), [(20, 0, r"\+"), (0, 20, "−")])
+def test_each_direction_is_held_against_the_bound(plus: int, minus: int, way: str) -> None:
+    """20 steps of 0.05 µm are 1 µm, against 0.9."""
+    one = curve(raw=RawTable((plus, plus), (minus, minus), (0, 400_000)))
+    with pytest.raises(CorrectionBoundError, match=rf"\+1 µm at \S+ mm \({way}\)"):
+        check_curve(one, DriveLimits(0.0, 40.0, 200.0, 2000.0), CorrectionBound(0.9))

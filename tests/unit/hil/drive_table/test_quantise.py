@@ -248,6 +248,10 @@ def test_stairs_by_hand() -> None:
     assert drive_table(later, even, scaling(), limits).raw.origin == 50_000
 
 
+def test_stairs_that_are_level_are_one_step() -> None:
+    assert drive_table(level(1.0, 0.5), STAIRS, scaling(), SHORT).raw.plus == (20, 20)
+
+
 def test_whole_steps_are_taken_as_they_are() -> None:
     """A first node at 5 mm is 50 000 counts; ten steps of 10 mm are 0.5 µm off, and 100 000 counts each."""
     five = replace(RAMP, position_mm=RAMP.position_mm + 5.0)
@@ -265,6 +269,8 @@ def test_one_curve_is_the_middle_of_both() -> None:
     drive_table(level(0.94, 0.0), one, scaling(), SHORT)
     with pytest.raises(InputError, match=r"ours differ by up to 0.960 µm"):
         drive_table(level(0.96, 0.0), one, scaling(), SHORT)
+    # 0.475 µm are 9.5 steps, which become 10: just the half µm that is allowed
+    assert drive_table(level(0.95, 0.0), one, scaling(), SHORT).deviation_um == pytest.approx(0.5, abs=1e-9)
     with pytest.raises(InputError, match=r"ours differ by up to 1.200 µm"):
         drive_table(level(0.2, 0.0, to_plus_um=1.2), one, scaling(), SHORT)
 

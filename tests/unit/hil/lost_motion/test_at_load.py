@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import InputError
 from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, TANH, TWO_TANH, Floats, Rise, Shape
-from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, load_mm
+from hil.lost_motion.at_load import LengthBounds, StrokePositions, _most_um, fit_at_load, load_mm
 from hil.lost_motion.estimate import Estimate, determined, estimate, separately_determined, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, fit, uncertainties
 
@@ -109,12 +109,18 @@ def test_two_terms_that_are_there_are_told_one_by_one() -> None:
 
 
 @pytest.mark.parametrize("amount_um", [0.0, 30.0, 1e6])
-@pytest.mark.parametrize("length_mm", [0.001, 0.05, 3.0])
+@pytest.mark.parametrize("length_mm", [0.0005, 0.001, 0.05, 3.0])
 def test_a_search_may_begin_at_a_bound_of_it(amount_um: float, length_mm: float) -> None:
     bounds, stroke = LengthBounds(0.001, 3.0, 1.0), np.zeros(len(MOTOR_MM), dtype=np.int64)
     places = StrokePositions(MOTOR_MM, load_mm(Rise(TANH, (9.0,), (0.05,)), MOTOR_MM), stroke)
     found = fit_at_load(Rise(TANH, (amount_um,), (length_mm,)), places, bounds)
     assert (*found.amounts_um, *found.lengths_mm) == pytest.approx((9.0, 0.05), rel=1e-6)
+
+
+def test_an_amount_is_searched_up_to_twice_the_largest_lag() -> None:
+    """40 µm of lag: 80 µm, and a nanometre for a load that follows at once."""
+    motor, stroke = np.array([0.0, 0.1, 0.2]), np.zeros(3, dtype=np.int64)
+    assert _most_um(StrokePositions(motor, motor - [0.0, 0.04, 0.03], stroke)) == pytest.approx(80.001)
 
 
 def test_a_load_that_follows_at_once_has_no_rise() -> None:

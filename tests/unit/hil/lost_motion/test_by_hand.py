@@ -191,6 +191,8 @@ def test_single_amounts_stand_for_themselves_from_two_of_their_uncertainties_on(
         both = whole | {"amount_1_um": Uncertain(5.0, 0.1), "amount_2_um": Uncertain(value, 1e-6)}
         assert separately_determined(both) is there
     assert separately_determined(whole)
+    at_a_bound = whole | {"amount_1_um": Uncertain(0.0, 1.0), "rise_1_mm": Uncertain(0.5, 0.0)}
+    assert set(determined(at_a_bound)) == {"amount_um"}  # a length at a bound has an uncertainty of 0: of none
 
 
 def made_estimate(late_um: float) -> Estimate:
@@ -201,7 +203,10 @@ def made_estimate(late_um: float) -> Estimate:
 def test_strokes_were_too_short_where_more_than_3_percent_came_late() -> None:
     assert not made_estimate(0.29).still_rising
     assert made_estimate(0.31).still_rising
+    nothing = replace(made_estimate(0.0), rise=Rise(TANH, (0.0,), (0.5,)))
+    assert not nothing.still_rising
     plain = made_estimate(0.0).to_json()
+    assert plain["asked_for"] is False
     assert plain["amount_um"] == 10.0
     assert plain["parameters"]["rise_1_mm"] == {"value": 0.5, "std": 0.2}
     assert plain["determined"] == ["amount_um", "rise_1_mm"]
@@ -328,6 +333,22 @@ def test_a_bump_is_over_the_straight_line_before_it() -> None:
     assert bumped(0.0, {2.0: 8.0}, 0.0).roundness_um == pytest.approx(8.0)
 
 
+@pytest.mark.parametrize("quadrant", range(4))
+def test_the_bumps_are_those_from_the_quadrants_on(quadrant: int) -> None:
+    """A sample at 0, 90, 180 or 270° itself is the first after the reversal, and none of those before it."""
+    bumps = bumped(90.0 * quadrant, {0.0: 8.0}).bumps_um
+    assert bumps[quadrant] == pytest.approx(8.0)
+    assert sum(bumps) == pytest.approx(8.0, abs=1e-9)
+
+
+def test_the_line_before_a_quadrant_is_straight() -> None:
+    """Deviation 0.01·p² of p degrees past 90. Through p² at -12, -11.5 … -1 the line of least squares is -13·p - 31.25 (mean -6.5, of
+    the squares 53.25): at 10° it is -161.25, and 261.25 below the parabola.
+    """
+    trace = Trace(ANGLES, 0.01 * (ANGLES - 90.0) ** 2)
+    assert trace.bump_um(90.0) == pytest.approx(2.6125)
+
+
 def test_five_samples_on_either_side_will_do() -> None:
     for first, last, good in ((-5.0, 4.0, True), (-4.0, 4.0, False), (-5.0, 3.0, False)):
         angles = np.arange(first, last + 0.1)
@@ -403,5 +424,8 @@ def test_by_how_much_a_shape_wins_is_told() -> None:
     other = Contender(Fitted(Rise(TANH, (10.0,), (0.02,))), 0.25, 0.25)
     told = "straight pieces taken: 0.200 µm RMS on strokes held out, two tanh 0.300 (+50 %)"
     assert chosen(pieces, other, two).choice == told
+    exact = Contender(Fitted(pieces), 0.0, 0.0)
+    told = "straight pieces taken: 0.000 µm RMS on strokes held out, two tanh 0.300"
+    assert Estimate(pieces, {}, {}, (exact, two), (), 0.0).choice == told  # no share of nothing
     asked = Estimate(two.fitted.rise, {}, {}, (Contender(Fitted(pieces), 0.2, 0.2), other, two), (), 0.0, True)
     assert asked.choice == "two tanh asked for: 0.300 µm RMS on strokes held out, straight pieces 0.200 (-33 %)"

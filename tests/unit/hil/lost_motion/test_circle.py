@@ -97,8 +97,9 @@ def test_rings_of_a_polar_plot() -> None:
 
 
 def test_what_is_no_circle_or_has_no_samples_is_refused() -> None:
-    for values in ({"radius_mm": 0.0}, {"feed_mm_s": -1.0}, {"sense": 0}):
-        with pytest.raises(InputError, match="circle of"):
+    nothing = ({name: 0.0} for name in ("radius_mm", "feed_mm_s", "ramp_mm_s2"))
+    for values in (*nothing, {"feed_mm_s": -1.0}, {"sense": 0}):
+        with pytest.raises(InputError, match="expected > 0, and 1 or -1"):
             Circle(CENTRE, **values)  # type: ignore[arg-type]
     with pytest.raises(InputError, match="to be reached"):
         Circle(CENTRE, feed_mm_s=50.0)
@@ -108,6 +109,7 @@ def test_what_is_no_circle_or_has_no_samples_is_refused() -> None:
     ):
         Circle(CENTRE, feed_mm_s=650.0 / 60.0)
     Circle(CENTRE, feed_mm_s=613.9 / 60.0)
+    Circle(CENTRE, radius_mm=0.5, feed_mm_s=0.1, ramp_mm_s2=0.5)
     half = Trace(np.linspace(0.0, 92.5, 500), np.zeros(500))
     with pytest.raises(InputError, match="no samples around 180°"):
         half.bump_um(180.0)

@@ -30,6 +30,11 @@ def test_what_comes_after_another_waits_for_it() -> None:
         in_order(["a", "b"], _rank, {"a": ["b"], "b": ["a"]})
 
 
+def test_a_limit_whose_other_is_not_written_has_nothing_to_wait_for() -> None:
+    for one in ("low", "high"):
+        assert in_order([one], _rank, {}, [("low", "high"), ("high", "low")]) == [one]
+
+
 PAIR = ("low", "high")
 limits = st.tuples(st.integers(-100, 100), st.integers(-100, 100)).map(sorted)
 

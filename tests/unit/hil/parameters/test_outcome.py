@@ -23,9 +23,7 @@ def compared(address: str, held: int, wanted: int, side: Side, why: str = "") ->
 
 
 def comparison(*rows: Compared, objections: tuple[Objection, ...] = (), error: str = "") -> Comparison:
-    return Comparison(
-        cast(Any, None), cast(Any, None), cast(Any, None), rows=list(rows), objections=[*objections], error=error
-    )
+    return Comparison(cast(Any, None), cast(Any, None), rows=list(rows), objections=[*objections], error=error)
 
 
 SAME = compared("a", 1, 1, Side.SAME)

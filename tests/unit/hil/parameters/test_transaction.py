@@ -100,6 +100,10 @@ def test_a_refusal_is_tried_again_after_the_rest_and_raised_when_nothing_helped(
     with pytest.raises(AbortError):
         bring(stubborn, a=5, b=6)
     assert stubborn.log == ["w a 5", "w b 6", "w a 5"]  # a second round wrote nothing, so there is no third
+    stubborn.log.clear()
+    with pytest.raises(AbortError):
+        bring(stubborn, a=5)
+    assert stubborn.log == ["w a 5"]  # nor a second where nothing else was written
 
 
 def test_what_is_no_refusal_ends_the_writing_at_once() -> None:
@@ -225,6 +229,7 @@ def phases(folder: Path) -> list[str]:
 
 def test_a_download_looks_writes_proves_and_stores(tmp_path: Path) -> None:
     drive = PaperDrive(a=1, b=2)
+    drive.clock.sleep_s(5.0)  # its seconds count from the first access
     stages: list[tuple[str, int, int]] = []
     target = Target(drive, the_set("b", a=5, b=6), Journal(tmp_path))
     report = download([target], store=True, progress=lambda *told: stages.append((told[0], *told[2:])))[0]
@@ -611,6 +616,7 @@ def test_a_set_against_a_drive() -> None:
         (None, 7, Side.UNKNOWN),
     ]
     assert found.cost.frames == 2 + 1 + 2
+    assert compare([(PaperDrive(a=1, b=2, c=3), the_set(a=1, b=2, c=7))])[0].cost.frames == 3 + 1 + 2
     assert found.answer_s == pytest.approx(0.00089)
     assert not found.same
     assert done_s == [(1, 3), (2, 3), (3, 3)]

@@ -1,0 +1,89 @@
+"""The proof that a drive's table corrects as the bridge does, with figures that follow on paper."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hil.drive_table.proof import PositionDifference, Proof, bidirectional_targets, proof_of
+from hil.records.rows import Records
+
+
+def block(rows: list[tuple[int, float]], command_um: float = 0.0) -> Records:
+    """Rows at 10 mm: direction and error, µm; commanded so many µm beyond the target."""
+    table = np.array(rows, dtype=float)
+    return Records.of(
+        {
+            "run": np.arange(1.0, len(rows) + 1),
+            "direction": table[:, 0],
+            "target_mm": np.full(len(rows), 10.0),
+            "measured_mm": 10.0 + table[:, 1] / 1000.0,
+            "command_mm": np.full(len(rows), 10.0 + command_um / 1000.0),
+        }
+    )
+
+
+def test_the_drives_mean_less_the_bridges_and_its_uncertainty() -> None:
+    """+: 1 and 3 µm with the bridge, 4 and 6 with the drive: 5 - 2. Squares 1+1 and 1+1, those of - are 0: s² = 4/4, of four means of
+    two runs. Of a difference √(1/2 + 1/2)·s; four degrees of freedom and two places: t of 1 - 0.05/4 is 3.495 (tables of Student's t).
+    """
+    blocks = {
+        "bridge-1": block([(1, 1.0), (-1, 2.0)], 5.0),
+        "drive-1": block([(1, 4.0), (-1, 0.5)]),
+        "drive-2": block([(1, 6.0), (-1, 0.5)]),
+        "bridge-2": block([(1, 3.0), (-1, 2.0)], 7.0),
+    }
+    found = proof_of(blocks, 1.0)
+    assert [(place.target_mm, place.direction) for place in found.places] == [(10.0, 1), (10.0, -1)]
+    assert [place.difference_um for place in found.places] == pytest.approx([3.0, -1.5])
+    assert [place.bridge_um for place in found.places] == pytest.approx([6.0, 6.0])
+    assert found.u95_um == pytest.approx(3.495, abs=1e-3)
+    assert (found.measured, found.tolerance_um) == (True, 1.0)
+    assert found.worst.difference_um == pytest.approx(3.0)
+    assert found.mean_um == pytest.approx(0.75)
+
+
+def test_the_place_with_the_fewest_runs_has_the_largest_uncertainty() -> None:
+    """+ once with each, - three times with each: √(1/1 + 1/1)·s for all. s² = 2·(1 + 0 + 1)/4 = 1, t as above."""
+    three = [(-1, 1.0), (-1, 2.0), (-1, 3.0), (1, 0.0)]
+    found = proof_of({"bridge-1": block(three), "drive-1": block(three)}, 1.0)
+    assert found.u95_um == pytest.approx(3.495 * math.sqrt(2.0), abs=2e-3)
+    once = [(1, 0.0), (-1, 0.0)]
+    assert math.isnan(proof_of({"bridge-1": block(once), "drive-1": block(once)}, 1.0).u95_um)
+
+
+def proof(*differences_um: float, bridge_um: float = 10.0, u95_um: float = 0.25) -> Proof:
+    places = tuple(PositionDifference(10.0 * k, 1, each, bridge_um) for k, each in enumerate(differences_um))
+    return Proof(places, u95_um, 1.0, measured=True)
+
+
+@pytest.mark.parametrize(
+    ("found", "good", "said"),
+    [
+        (proof(0.5, -0.75), True, "at most -0.750 µm at 10.000 mm"),  # 0.75 + 0.25 is just what is allowed
+        (proof(0.5, -0.76), False, "not proven: -0.760 µm"),
+        (proof(1.25), False, "not proven: +1.250 µm"),  # 1.25 - 0.25 may be inside
+        (proof(1.26), False, "does not correct as the bridge does: +1.260 µm"),
+        (proof(-10.0, -10.0), False, "it adds 0.00 times what the bridge adds (in force? homed?)"),
+        (proof(-8.1), False, "it adds 0.19 times what the bridge adds (in force? homed?)"),
+        (proof(-7.9), False, "it adds 0.21 times what the bridge adds"),
+        (proof(-20.0, -20.0), False, "it adds -1.00 times what the bridge adds (the sign?)"),
+    ],
+)
+def test_the_verdict(found: Proof, good: bool, said: str) -> None:
+    assert found.good is good
+    assert said in found.verdict
+    assert ("homed?" in found.verdict, "sign?" in found.verdict) == ("homed?" in said, "sign?" in said)
+
+
+def test_a_share_of_nothing_is_not_known() -> None:
+    assert math.isnan(proof(2.0, bridge_um=0.0).share)
+    assert proof(5.0, 5.0).share == pytest.approx(1.5)
+
+
+def test_the_stops_of_a_proof_by_the_drives_value() -> None:
+    """From below up to each, beyond the last one, and down; the drive is read where a target is reached in a direction."""
+    way = [(8.0, None), (10.0, 1), (30.0, 1), (32.0, None), (30.0, -1), (10.0, -1)]
+    assert bidirectional_targets([30.0, 10.0], 2.0) == way
