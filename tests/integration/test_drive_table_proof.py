@@ -121,6 +121,7 @@ def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
                 proof = prove_by_drive(moving, wanted, TARGETS, how)
             assert proof.good is good, proof.verdict
             assert not proof.measured
+            assert proof.u95_um == pytest.approx(abs(table.description.value.um(axis.scaling)) / 2.0)  # half a step
             assert not table.enabled()
     assert abs(max(place.difference_um for place in proof.places if place.direction < 0)) < 0.5
 

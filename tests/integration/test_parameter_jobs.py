@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
+from support import bench_axis
 from support.bench_axis import AXIS
 from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
 
 from drivers.clock import WallClock
-from drivers.errors import InputError, StateError
+from drivers.errors import CapabilityError, InputError, StateError
 from drivers.raw_parameters import DriveIdentity
 from hil.app.desk.progress import Phase, Progress
 from hil.app.desk.stop import StoppedByOperator
@@ -24,6 +25,7 @@ from hil.parameters.job import keep_set, set_files
 from hil.parameters.outcome import BackedUp, kept_outcome
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
+from hil.parameters.wiring import connected_parameters
 from sim_backends.modbus_drive import tcp_server
 
 SIDES = {"old": [entry.raw for entry in OLD.entries], "new": [entry.raw for entry in NEW.entries]}
@@ -201,3 +203,11 @@ def test_what_the_screen_says_of_each_outcome(axis: DriveAxis) -> None:
     assert shown(parameters.download_job(axis, NEW)) == ("unchanged", COUNT, 0, 0)
     assert shown(parameters.compare_job(axis, NEW, parameters.VERIFY)) == ("holds", COUNT, 0, 0)
     assert shown(parameters.store_job(axis, NEW))[0] == "stored"
+
+
+def test_a_drive_without_parameters_on_a_wire_is_refused(tmp_path: Path) -> None:
+    path = bench_axis.lay_out(tmp_path)
+    path.write_text(path.read_text().replace('backend = "bench"', 'backend = "bench"\nface = "virtual"'))
+    bench = load_drive_axis(path)
+    with pytest.raises(CapabilityError, match=r"its drive \(bench\) has no parameters"), connected_parameters([bench]):
+        pass

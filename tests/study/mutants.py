@@ -104,7 +104,10 @@ ROOMS = {
         (
             f"{UNIT}/parameters",
             "tests/integration/test_parameter_jobs.py",
-            *(f"tests/integration/test_params_{name}.py" for name in ("download", "dcf", "lines", "verb", "table_verb")),
+            *(
+                f"tests/integration/test_params_{name}.py"
+                for name in ("download", "dcf", "lines", "verb", "table_verb")
+            ),
             # they take most of the time
             "--deselect=tests/integration/test_params_dcf.py::test_all_published_device_dcfs_pass_a_dry_run",
             "--deselect=tests/integration/test_parameter_jobs.py::test_what_the_screen_says_of_each_outcome",

@@ -25,7 +25,17 @@ from drivers.errors import (
     StateError,
 )
 from drivers.scaling import AxisScaling
-from hil.drive_table.change import changing, held_table, require_same, snapshot
+from hil.drive_table.change import (
+    changing,
+    held_table,
+    remember_zero,
+    remembered_made_with,
+    remembered_zero,
+    require_same,
+    snapshot,
+)
+from hil.records.made_with import MadeWith
+from hil.records.zero import Zero
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.own_table import ARRAY, TableForm, error_domain
@@ -235,6 +245,21 @@ def test_a_note_that_is_none_is_refused(note: Path) -> None:
         changing(drive, note, pytest.fail),
     ):
         pytest.fail("entered")
+
+
+def test_what_a_table_was_made_in_is_remembered_for_that_table_alone(tmp_path: Path) -> None:
+    note, raw, other = tmp_path / "new" / "X.drive-table.json", RawTable((1, 2)), RawTable((1, 3))
+    assert (remembered_zero(note, raw), remembered_made_with(note, raw)) == (None, None)
+    zero, made_with = Zero("z1", "X", "2026-03-02T10:00:00+00:00"), MadeWith({"gear": 2.0}, {"backlash": 5.0})
+    remember_zero(note, raw, zero, made_with)
+    assert (remembered_zero(note, raw), remembered_made_with(note, raw)) == (zero, made_with)
+    assert (remembered_zero(note, other), remembered_made_with(note, other)) == (None, None)
+    remember_zero(note, other, None)
+    assert (remembered_zero(note, other), remembered_made_with(note, other)) == (None, None)
+    note.write_text("{}")
+    for read in (remembered_zero, remembered_made_with):
+        with pytest.raises(InputError, match="does not say"):
+            read(note, raw)
 
 
 def test_what_differs_is_named() -> None:

@@ -85,5 +85,5 @@ def test_a_share_of_nothing_is_not_known() -> None:
 
 def test_the_stops_of_a_proof_by_the_drives_value() -> None:
     """From below up to each, beyond the last one, and down; the drive is read where a target is reached in a direction."""
-    way = [(8.0, None), (10.0, 1), (30.0, 1), (32.0, None), (30.0, -1), (10.0, -1)]
-    assert bidirectional_targets([30.0, 10.0], 2.0) == way
+    up, down = [(10.0, 1), (20.0, 1), (30.0, 1)], [(30.0, -1), (20.0, -1), (10.0, -1)]
+    assert bidirectional_targets([30.0, 10.0, 20.0], 2.0) == [(8.0, None), *up, (32.0, None), *down]
