@@ -55,6 +55,11 @@ class DriveCurve:
         found = self.description
         return self.scaling.direction * found.sign * raw * found.value.um(self.scaling)
 
+    @property
+    def step_um(self) -> float:
+        """Distance of two values that a drive can show, µm at the load, above zero."""
+        return abs(self.value_um(1))
+
     def _nodes_um(self) -> Floats:
         return np.array(self.raw.nodes, dtype=np.float64) * self.description.position.um(self.scaling)
 

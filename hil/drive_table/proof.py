@@ -248,7 +248,7 @@ def prove_by_drive(
         raise
     drive.disable()
     table.switch(was_on)
-    return Proof(tuple(places), abs(curve.value_um(1)) / 2, tolerance_um, measured=False)
+    return Proof(tuple(places), curve.step_um / 2, tolerance_um, measured=False)
 
 
 def bidirectional_targets(targets_mm: Sequence[float], overrun_mm: float) -> list[tuple[float, int | None]]:

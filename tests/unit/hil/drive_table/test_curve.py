@@ -46,6 +46,12 @@ def test_straight_between_nodes_and_held_beyond_them() -> None:
     assert found.value_um(100) == pytest.approx(5.0)
 
 
+def test_the_step_of_a_shown_value_is_a_distance_whichever_way_counts_and_signs_run() -> None:
+    """100 raw are 5 µm, so one is 0.05."""
+    for direction, sign in ((1, 1), (-1, 1), (1, -1), (-1, -1)):
+        assert curve(direction, sign=sign).step_um == pytest.approx(0.05)
+
+
 def test_counts_that_fall_when_the_table_advances() -> None:
     """The drive's 1.5 mm is our -1.5, its + is our -; arriving in + its counts fall, and what it adds moves us the other way."""
     found = curve(-1)
