@@ -293,7 +293,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     args = parser.parse_args(words)
     with tempfile.TemporaryDirectory(prefix="hil-endurance-") as place:
-        account = run(args.hours, args.seed, Path(place))
+        account = run(args.hours, args.seed, Path(place), shift_s=min(HOUR_S, args.hours * HOUR_S))
     print(f"{args.hours:g} h: {account}")
     print(f"memory grows by {account.growth_mb_per_h():+.2f} MB an hour after the first")
     print("everything is accounted for" if account.good else "NOT EVERYTHING IS ACCOUNTED FOR")
