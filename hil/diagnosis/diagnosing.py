@@ -104,11 +104,9 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     extended = (None if said else _unproven(problem, chosen, parts.within_run_um)) or chosen.fit
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
-    known_um = np.sum([term.error_um(rows.columns) for term in extended.found], axis=0)
-    floor = pure_error(rows.columns, rows.error_um - known_um)
+    floor = pure_error(rows.columns, rows.error_um - np.sum([t.error_um(rows.columns) for t in extended.found], axis=0))
     explained_um = predicted_um(floor, parts, len(campaign), _held(problem, noise))
-    wanders = any(choice.form.shrunk for choice in chosen.kept)  # which no other run can predict
-    unpredicted = not wanders and left_out.usual_um > policy().unpredicted * explained_um
+    unpredicted = not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
     residual_um = rows.error_um - extended.whole.error_um(rows.columns)
     unexplained = (
         unexplained
@@ -127,6 +125,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     findings = with_rivals(
         findings, doubted, unrecorded(effects, campaign.survey, records.columns), records.columns, carriers
     )
+    if not unexplained and _predicts_nothing(findings, left_out, explained_um):
+        unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
     found_out = Diagnosis(
         pure_error=floor,
         noise=parts,
@@ -416,6 +416,27 @@ def _carriers(
     if last.memory is not None:
         found = last.memory
         yield Carrier((campaign.survey.time_column,), found.rms_um, math.exp(-found.log_odds))
+
+
+def _wanders(chosen: Chosen) -> bool:
+    """Whether an effect is a random course, which no other run can predict."""
+    return any(choice.form.shrunk for choice in chosen.kept)
+
+
+def _predicts_nothing(findings: Sequence[Finding], left_out: HeldOut, explained_um: float) -> bool:
+    """Whether runs left out vary far more than noise explains while a name is not sure, or there is none."""
+    sure = bool(findings) and all(finding.confidence >= policy().sure for finding in findings)
+    return not sure and Figures.of(left_out.setup).rms_um > policy().unsure_beyond * explained_um
+
+
+def _carried_without(
+    chosen: Chosen, findings: Sequence[Finding], noise: Noise, campaign: CampaignRows
+) -> Iterator[Carrier]:
+    """What carries the rest where the effects whose names are not sure are taken away."""
+    unsure = {finding.effect for finding in findings if finding.confidence < policy().sure}
+    without = refitted_without(chosen, unsure, noise)
+    left = left_over(without.last.searcher, without.kept, noise, without.hits)
+    yield from _carriers(without, {}, (), left, campaign)
 
 
 def _blind(problem: Problem) -> tuple[Blind, ...]:

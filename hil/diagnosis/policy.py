@@ -158,6 +158,13 @@ class Policy:
         "rows left out that vary so many times more than noise explains put every name in doubt",
         "tuning seeds: above it 10 of 16 confident names were right, below 94 of 101",
     )
+    sure: float = _number(0.9, RATE, "confidence of a name from which on it is sure", "said in the proof asked for")
+    unsure_beyond: float = _number(
+        2.0,
+        SHARE,
+        "rows left out that vary so many times more than noise explains are unexplained while a name is not sure, or there is none",
+        "clean machines of the grammar come to 1.8; of 240 with a strong cause outside the catalogue 7 of 18 missed ones are above",
+    )
     false_hits: float = _number(0.005, RATE, "of a wave along a few rows of noise", "half of the 1 % asked for")
     beaten: float = _number(
         3.0, LOG, "by which a smooth function of other columns must exceed an effect to take its place", "20 to 1"

@@ -15,6 +15,7 @@ from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import AllRows, prepare
 from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
+from hil.diagnosis.policy import Policy, in_force
 from hil.diagnosis.remainder import LeftOver, carriers, left_over
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
@@ -326,6 +327,16 @@ def test_a_cycle_that_the_table_can_mostly_hold_has_a_name_in_doubt() -> None:
     """Lost motion whose travel was not logged, by long waves that the table takes most of: said with certainty once."""
     said = diagnose(Records.of(draw("missing", 101_004).fit.records))
     assert all(finding.confidence < 0.9 for finding in said.findings if finding.effect == "cyclic")
+
+
+def test_what_unsure_names_do_not_predict_is_unexplained() -> None:
+    """Switches of the temperature of a nut: a jump follows these rows, and no other run."""
+    rows = Records.of(draw("outside strong", 103_098).fit.records)
+    said = diagnose(rows)
+    assert said.unexplained
+    assert all(finding.confidence < 0.9 for finding in said.findings)
+    with in_force(replace(Policy(), unsure_beyond=100.0)):
+        assert not diagnose(rows).unexplained, "nothing else notices it"
 
 
 def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_course() -> None:
