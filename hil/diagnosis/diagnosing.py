@@ -425,16 +425,21 @@ def _wanders(chosen: Chosen) -> bool:
 
 def _predicts_nothing(findings: Sequence[Finding], left_out: HeldOut, explained_um: float) -> bool:
     """Whether runs left out vary far more than noise explains while a name is not sure, or there is none."""
-    sure = bool(findings) and all(finding.confidence >= policy().sure for finding in findings)
-    return not sure and Figures.of(left_out.setup).rms_um > policy().unsure_beyond * explained_um
+    if findings and not _unsure(findings):
+        return False
+    return Figures.of(left_out.setup).rms_um > policy().unsure_beyond * explained_um
+
+
+def _unsure(findings: Sequence[Finding]) -> set[str]:
+    """The effects whose names are not sure."""
+    return {finding.effect for finding in findings if finding.confidence < policy().sure}
 
 
 def _carried_without(
     chosen: Chosen, findings: Sequence[Finding], noise: Noise, campaign: CampaignRows
 ) -> Iterator[Carrier]:
     """What carries the rest where the effects whose names are not sure are taken away."""
-    unsure = {finding.effect for finding in findings if finding.confidence < policy().sure}
-    without = refitted_without(chosen, unsure, noise)
+    without = refitted_without(chosen, _unsure(findings), noise)
     left = left_over(without.last.searcher, without.kept, noise, without.hits)
     yield from _carriers(without, {}, (), left, campaign)
 
