@@ -15,7 +15,7 @@ from statistics import median
 import numpy as np
 import pytest
 from study.truth_machines import Machine, Plan
-from support.bench import Record, row
+from support.bench import Record, installed, row
 
 from hil.records.rows import Records, to_csv
 
@@ -43,10 +43,10 @@ print(len(records), seconds, peak_mb, *(finding.effect for finding in found.find
 """
 
 
-def _ran(command: list[str]) -> tuple[float, float]:
+def _ran(command: list[str], env: dict[str, str]) -> tuple[float, float]:
     """Processor seconds and largest memory, MB, of a command of the program, with its start."""
     words = [sys.executable, "-c", MEASURED, sys.executable, "-m", "hil.app", *command]
-    done = subprocess.run(words, capture_output=True, text=True, check=True)
+    done = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
     seconds, peak_mb = map(float, done.stdout.split())
     return seconds, peak_mb
 
@@ -60,7 +60,8 @@ def test_an_ordinary_campaign(effects: tuple[str, ...], record_property: Record,
     records = Records.of({name: columns[name] for name in keep})
     path, out = tmp_path / "records.csv", tmp_path / "out.json"
     path.write_text(to_csv(records))
-    rounds = [_ran(["diagnose", str(path), "--json", str(out)]) for _ in range(3)]
+    env = installed(tmp_path / "compiled")
+    rounds = [_ran(["diagnose", str(path), "--json", str(out)], env) for _ in range(4)][1:]
     found = json.loads(out.read_text())["findings"]
     assert {one["effect"] for one in found} == set(effects)
     name = f"diagnosis, {len(records)} rows × {len(keep)} columns, start included, {'+'.join(effects) or 'nothing to find'}"

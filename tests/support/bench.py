@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import time
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from statistics import median
 
 Record = Callable[[str, object], None]
@@ -43,6 +45,12 @@ def row(
 def number(value: float) -> str:
     """Three significant digits, thousands with commas."""
     return f"{value:,.0f}" if abs(value) >= 1000.0 else f"{value:.3g}"
+
+
+def installed(folder: Path) -> dict[str, str]:
+    """Environment of a process that finds the program's modules compiled, as in any installation: its first run leaves them in a folder."""
+    mine = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return mine | {"PYTHONPYCACHEPREFIX": str(folder)}
 
 
 def side_by_side(runs: Sequence[Callable[[], object]], rounds: int) -> list[list[float]]:

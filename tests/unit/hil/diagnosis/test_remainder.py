@@ -205,6 +205,25 @@ def test_a_slow_column_is_named_by_what_it_was_before_too_and_beside_fine_waves(
     assert "load_kg" not in {*first.columns, *(name for alike in first.equivalent.values() for name in alike)}
 
 
+def test_a_column_of_which_what_was_found_is_a_function_too_is_named_beside() -> None:
+    """The nut follows the bed 0.4 rad behind: no function of it holds the bed to nine tenths, but what steps with the one nearly does
+    with the other; with no other column."""
+
+    def nut(c: Mapping[str, Floats]) -> Floats:
+        time = c["time_s"]
+        return 21.0 + 2.0 * np.sin(2.0 * np.pi * 2.5 * (time - time[0]) / np.ptp(time) - 0.4)
+
+    def steps(c: dict[str, Floats]) -> Floats:
+        return (nut(c) > 21.6) * np.sin(2 * np.pi * 1.6 * c["target_mm"] / TRAVEL_MM)
+
+    records = with_a_slow_bed(42, steps, 1.2)
+    noise = np.random.default_rng(6).normal(0.0, 0.02, len(records))
+    found = rest_of(Records.of({**records.columns, "temp_nut_c": nut(records.columns) + noise}))[0]
+    assert found.columns == ("target_mm", "temp_nut_c")
+    assert set(found.equivalent) == {"temp_nut_c"}
+    assert set(found.equivalent["temp_nut_c"]) - {"time_s"} == {"temp_bed_c"}
+
+
 def test_play_and_relay_by_hand() -> None:
     u = np.array([0.0, 0.5, 1.0, 0.7, 0.5, 0.1, 0.2])
     assert carriers.play(u, 0.2).tolist() == pytest.approx([0.0, 0.3, 0.8, 0.8, 0.7, 0.3, 0.3])
