@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from datetime import UTC, datetime, timedelta
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hostile import disks
 from support import backlash_axis, bench_axis
 from support.bench_axis import PASSWORDS
 from support.fleet import rows, write_campaign
@@ -120,3 +122,26 @@ def test_campaigns_of_the_program_itself(
     assert values["c", "friction_torque_percent"]["value"] > 1.0
     assert main(["fleet", "trend", str(tmp_path)]) == 0
     assert "not watched:" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["new file", "flush"])
+def test_a_disk_that_is_full_at_any_file_of_the_index(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rng = np.random.default_rng(2)
+    for number in (1, 2):
+        write_campaign(tmp_path / "A-campaign" / f"verify-{number:03d}", "A", BEGUN, rows(rng, 9.0, targets=5, runs=3))
+    order = ["fleet", "index", str(tmp_path), "--processes", "1"]
+    for at in itertools.count(1):
+        with disks.FullDisk(kind, at).here():
+            status = main(order)
+        if status == 0:
+            break
+        streams = capsys.readouterr()
+        assert status == 2
+        assert streams.err.count("\n") == 1
+        assert "No space left on device" in streams.err
+        assert not list(tmp_path.rglob("*.part"))
+    assert at > 1
+    assert main(order) == 0
+    assert read_table(tmp_path / "fleet-index", "rows").num_rows == 2 * 30

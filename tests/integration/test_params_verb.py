@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import subprocess
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hostile import disks
 from support.bench_axis import AXIS
 from support.modbus_parameters import NEW, OLD, FortyFace, write_map
 from support.sim_process import SimProcess
@@ -130,6 +132,33 @@ def test_a_refused_set_is_exit_1_and_names_every_reason(
         assert "line 46: target" in out
         assert "line 47: nothing: the drive's file has no such parameter" in out
     assert face.ram == SIDES["old"]
+
+
+@pytest.mark.parametrize("kind", disks.KINDS)
+def test_a_disk_that_is_full_at_any_write_leaves_the_drive_whole(
+    kind: str, axis: Path, face: FortyFace, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The disk stays full; then there is room again."""
+    new, backup = axis.with_name("new.toml"), axis.with_name("X.params.toml")
+    tried = 0
+    for verb in ("backup", "download"):
+        order = [verb, axis, *(["--set", new] if verb == "download" else [])]
+        for at in itertools.count(1):
+            with disks.FullDisk(kind, at).here():
+                status, out, err = run(capsys, *order)
+            if status == 0:
+                break
+            tried += 1
+            assert "No space left on device" in out + err, (verb, at)
+            assert "Traceback" not in out + err
+            assert not list(axis.parent.rglob("*.part")), (verb, at)
+            assert not backup.exists() or verb == "download", "half a backup"
+            assert run(capsys, "rollback", axis)[0] == 0
+            if face.ram == SIDES["new"]:  # the disk was full only when everything was written and the journal closed
+                assert run(capsys, "restore", axis)[0] == 0
+            assert face.ram == SIDES["old"], (verb, at)
+    assert tried
+    assert (backup.exists(), face.ram) == (True, SIDES["new"])
 
 
 # -- in processes --------------------------------------------------------------------------------------------------------
