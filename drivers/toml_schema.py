@@ -23,8 +23,8 @@ from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_
 
 import msgspec
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from drivers.toml_lines import Place, lines_of
 from drivers.toml_types import Key, Limits, SchemaError, Via
 

@@ -13,7 +13,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.canopen.eds_text import (
     ARRAY,
     RECORD,
@@ -28,6 +27,7 @@ from drivers.canopen.eds_text import (
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo_lint import MappableObject
 from drivers.errors import InputError
+from drivers.files import read_bytes
 
 Key = tuple[int, int]
 MOST_BYTES = 1 << 24

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.facts import Strength
+from drivers.files import read_bytes, replace_file
 from drivers.toml_types import Text
 
 
@@ -74,22 +75,17 @@ class FactLedger:
         return frozenset(Proof(name) for name in self._all().get(self._key, ()))
 
     def add(self, proofs: frozenset[Proof]) -> None:
-        """Remember these proofs too. Raises InputError, and OSError where the file cannot be written."""
+        """Remember these proofs too. Raises InputError."""
         everything = self._all()
         everything[self._key] = sorted(proof.value for proof in self.proven() | proofs)
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        whole = self._path.with_name(f".{self._path.name}.new")  # a full disk leaves the old file as it was
-        try:
-            whole.write_text(json.dumps(everything, indent=1) + "\n", encoding="utf-8")
-            whole.replace(self._path)
-        finally:
-            whole.unlink(missing_ok=True)
+        replace_file(self._path, (json.dumps(everything, indent=1) + "\n").encode())
 
     def _all(self) -> dict[str, list[str]]:
         if not self._path.exists():
             return {}
         try:
-            found = json.loads(self._path.read_text(encoding="utf-8"))
+            found = json.loads(read_bytes(self._path))
             return {str(key): [Proof(name).value for name in names] for key, names in found.items()}
         except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise InputError("does not say which facts were proven", path=self._path) from error

@@ -10,12 +10,12 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from drivers.errors import InputError, StateError
+from drivers.files import read_bytes, replace_file
 
 
 class WearLedger:
@@ -38,7 +38,7 @@ class WearLedger:
         with _alone_in(self._path.parent):
             self._counts = _read(self._path) if self._path.exists() else {}
             self._charge(drive, register, budget)
-            _write(self._path, self._counts)
+            replace_file(self._path, json.dumps(self._counts, indent=1, sort_keys=True).encode())
 
     def _charge(self, drive: str, register: str, budget: int) -> None:
         written = self.writes(drive, register)
@@ -63,23 +63,9 @@ def _alone_in(directory: Path) -> Iterator[None]:
 
 def _read(path: Path) -> dict[str, int]:
     try:
-        counts = json.loads(path.read_text(encoding="utf-8"))
+        counts = json.loads(read_bytes(path))
     except (OSError, ValueError, RecursionError) as error:
         raise InputError(f"cannot be read as a wear ledger: {error}", path=path) from error
     if not isinstance(counts, dict) or not all(type(count) is int and count >= 0 for count in counts.values()):
         raise InputError("is no wear ledger, expected an object of whole numbers >= 0", path=path)
     return counts
-
-
-def _write(path: Path, counts: dict[str, int]) -> None:
-    """Replace the file in one step, so that after a power cut it holds the old counts or the new ones."""
-    descriptor, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(descriptor, "w", encoding="utf-8") as stream:
-            json.dump(counts, stream, indent=1, sort_keys=True)
-            stream.flush()
-            os.fsync(stream.fileno())
-        Path(name).replace(path)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise

@@ -6,6 +6,7 @@ import argparse
 import sys
 
 from drivers.drive import ServoDrive
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import add_axis_arguments, add_password_options, open_store, tell_bench
 from hil.app.terminal.output import number, print_facts, print_table, times, write_json
 from hil.app.terminal.progress import telling_notes, terminal_progress
@@ -25,7 +26,6 @@ from hil.backlash.procedure import DIRECTIONS
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.machine.wiring import connected_drive
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

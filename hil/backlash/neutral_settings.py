@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.errors import BridgeError, InputError, SafetyError
-from hil.records.files import parse_json, read_text, replace_file
+from drivers.files import replace_file
+from hil.records.files import parse_json, read_text
 
 Tell = Callable[[str], None]
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import CapabilityError, InputError, StateError, UnprovenError
+from drivers.files import replace_file
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
 from hil.app.jobs.plan import Move, Plan, Write, measuring_plan
@@ -41,7 +42,6 @@ from hil.machine.events import Event, Listener, silent
 from hil.machine.measure import bidirectional_steps, measure, other_targets
 from hil.machine.session import AxisSession
 from hil.machine.wiring import Machine
-from hil.records.files import replace_file
 from hil.records.journal import Campaign
 from hil.records.made_with import MadeWith
 from hil.records.rows import Floats, Records

@@ -16,8 +16,8 @@ from typing import Any, Protocol
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError, StateError
+from drivers.files import read_bytes, replace_file, sync_directory
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Compensation
 from hil.correction.rise import rise_from_json
@@ -36,7 +36,7 @@ from hil.correction.sealed import (
 )
 from hil.correction.tables import FORMAT, TableSet
 from hil.effects import ALL, Effect, Term, term_from_json
-from hil.records.files import held, naming, parse_json, replace_file, sync_directory
+from hil.records.files import held, naming, parse_json
 from hil.records.made_with import MadeWith, read_made_with
 from hil.records.zero import Zero, read_zero
 

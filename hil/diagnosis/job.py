@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.files import replace_file
 from hil.app.report.data import NamedCampaign
 from hil.app.report.views import View, finding_view, position_view
 from hil.app.terminal.records_input import read_parts
@@ -19,7 +20,6 @@ from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.stored import sources
 from hil.diagnosis.verdict.hypotheses import joined
 from hil.effects.user_effects import attributing_errors, catalogue_with
-from hil.records.files import replace_file
 from hil.records.rows import Floats, Records
 
 MOST_POINTS = 1200

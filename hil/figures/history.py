@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.figures.iso230 import Iso230, iso230
 from hil.records.files import split_lines
 from hil.records.journal import BEGUN, CHAINED, MARKER, checksums, grew_from, read_purpose

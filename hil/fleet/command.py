@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.output import Align, add_json_option, print_facts, print_table, write_json
-from hil.records.files import replace_file
 
 if TYPE_CHECKING:  # an extra
     from hil.fleet.index import State

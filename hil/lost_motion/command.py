@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
@@ -35,7 +36,6 @@ from hil.lost_motion.job import (
     sentences,
 )
 from hil.lost_motion.procedure import NoLostMotionError
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import EdsFile, Key, load_eds
 from drivers.canopen.objects import DataType
 from drivers.canopen.pdo import EXISTS_NOT, pdo_of
 from drivers.canopen.whole_pdo import Block, pdo_at, wholes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from drivers.raw_parameters import DriveIdentity, RawParameters
 from hil.parameters.preflight import match_set
 from hil.parameters.set_file import ParameterSet, SetEntry, object_address, object_key, read_set, write_set
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 
 FORMATS = ("toml", "dcf", "cdcf")
 

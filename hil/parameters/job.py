@@ -12,9 +12,9 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.clock import Waiting
 from drivers.errors import InputError, StateError
+from drivers.files import read_bytes, replace_file
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Plan, Write
 from hil.axis.axis_file import DriveAxis
@@ -34,7 +34,7 @@ from hil.parameters.set_file import FORMAT, ParameterSet, object_address
 from hil.parameters.snapshot import Backup, back_up
 from hil.parameters.tasks import Progress, no_progress
 from hil.parameters.wiring import connected_parameters, journal_of
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 
 BACKUP, COMPARE, VERIFY = "parameters backup", "parameters compare", "parameters verify"
 DOWNLOAD, STORE, RESTORE = "parameters download", "parameters store", "parameters restore"

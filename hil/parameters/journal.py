@@ -15,10 +15,10 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, sync_directory
 from drivers.raw_parameters import DriveIdentity
-from hil.records.files import parse_json, split_lines, sync_directory
+from hil.records.files import parse_json, split_lines
 
 
 class Phase(Enum):

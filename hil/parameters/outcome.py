@@ -8,11 +8,11 @@ from pathlib import Path
 
 import msgspec
 
+from drivers.files import replace_file
 from hil.axis.axis_file import DriveAxis
 from hil.parameters.compare import Comparison, Side
 from hil.parameters.preflight import Objection
 from hil.parameters.report import Ending, JobReport, Verdict, shown
-from hil.records.files import replace_file
 
 MOST_ROWS = 2000
 _KEPT = "parameters/outcome.json"

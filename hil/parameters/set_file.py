@@ -28,11 +28,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from drivers.parameters import ParameterValue
 from drivers.raw_parameters import DriveIdentity, RawForm
 from drivers.toml_schema import Document, shown
 from drivers.toml_types import Limits, SchemaError, Text, Via, not_empty, one_of
-from hil.records.files import replace_file
 
 FORMAT = "hil parameter set 1"
 _OBJECT = re.compile(r"^([0-9A-F]{4})h:([0-9A-F]{2})$")

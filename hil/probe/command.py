@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.output import add_json_option, print_facts, print_table, times, write_json
 from hil.app.terminal.passwords import KEY, READING, password
 from hil.app.terminal.progress import terminal_progress
@@ -21,7 +22,6 @@ from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasu
 from hil.probe.runout import CorrectionCode, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
 from hil.probe.wiring import before_feature
-from hil.records.files import replace_file
 from sim_backends.plant.touch_probe import Bore, Boss, Solid, Wall
 from sim_backends.probe_bench import ProbeBench
 

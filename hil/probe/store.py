@@ -20,11 +20,11 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError, StateError
+from drivers.files import read_bytes, replace_file, sync_directory
 from hil.correction.sealed import check, check_seen, open_sealed, remember, require_strong_new, reseal, seal
 from hil.probe.runout import FourFeeds, RunOut
-from hil.records.files import held, naming, parse_json, replace_file, sync_directory
+from hil.records.files import held, naming, parse_json
 
 FORMAT = "hil-runout-1"
 HISTORY_COLUMNS = (

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.output import Align, add_json_option, from_here, number, print_facts, print_table, write_json
 from hil.app.terminal.resume_hints import resume_command, state_of
 from hil.correction.formats import wide_iso
@@ -28,7 +29,7 @@ from hil.figures.history import (
 )
 from hil.figures.iso230 import FIGURES, Iso230
 from hil.figures.reading import RULE
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 from hil.records.journal import CHAINED, check_rows
 from hil.records.rows import read_csv, to_csv
 

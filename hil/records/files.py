@@ -1,7 +1,6 @@
-"""Files written completely or not at all, read with errors that name them, and locked against other processes.
+"""Files read with errors that name them, locked against other processes, and added to durably. Independent of any format.
 
-Every result that replaces an older file goes through `replace_file`: a reader, or a power cut, sees the old bytes or
-the new ones. Independent of any format.
+What replaces an older file is written by `drivers.files.replace_file`.
 """
 
 from __future__ import annotations
@@ -12,16 +11,14 @@ import json
 import os
 import re
 import socket
-import stat
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError, StateError
+from drivers.files import read_bytes
 
 
 @contextmanager
@@ -134,21 +131,6 @@ def _held_word(kind: str, word: bytes, path: str | Path | None) -> Iterator[None
         yield
 
 
-def replace_file(path: str | Path, data: bytes, *, mode: int | None = None) -> None:
-    """Put `data` at `path` atomically and durably.
-
-    The bytes go to a temporary file in the same directory, are flushed to the disk, and take the name in one step; then the
-    directory is flushed. An older file's permissions (and owner, where we may) are kept; a new file gets `mode`, by default
-    what the umask leaves of 0o666. A symbolic link stays one, its target is replaced. Something that is no regular file (a
-    pipe, /dev/stdout) is written to as it is. Raises InputError naming the file when it cannot be written; the old one is then
-    untouched.
-    """
-    try:
-        _replace(Path(path), data, mode)
-    except OSError as error:
-        raise InputError(f"cannot be written: {error.strerror}", path=path) from error
-
-
 def append_durably(
     handle: int, data: bytes, *, keep: int | None = None, then: Callable[[], object] = lambda: None
 ) -> None:
@@ -168,48 +150,6 @@ def append_durably(
     except OSError:
         os.ftruncate(handle, end)
         raise
-
-
-def sync_directory(directory: Path) -> None:
-    """Makes a new or changed name in a directory durable. Raises OSError."""
-    handle = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
-
-
-def _replace(path: Path, data: bytes, mode: int | None) -> None:
-    target = Path(os.path.realpath(path))
-    try:
-        old: os.stat_result | None = target.stat()
-    except FileNotFoundError:
-        old = None
-    if path.is_relative_to("/dev") or (old is not None and not stat.S_ISREG(old.st_mode)):
-        path.write_bytes(data)
-        return
-    handle, name = tempfile.mkstemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(data)
-            os.fchmod(file.fileno(), _default_mode(mode) if old is None else stat.S_IMODE(old.st_mode))
-            if old is not None and (old.st_uid, old.st_gid) != (os.geteuid(), os.getegid()) and os.geteuid() == 0:
-                os.fchown(file.fileno(), old.st_uid, old.st_gid)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-    sync_directory(target.parent)
-
-
-def _default_mode(mode: int | None) -> int:
-    if mode is not None:
-        return mode
-    umask = os.umask(0o077)
-    os.umask(umask)
-    return 0o666 & ~umask
 
 
 class AppendedFile:

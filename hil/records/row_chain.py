@@ -21,9 +21,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
-from hil.records.files import AppendedFile, append_durably, held, replace_file, sync_directory
+from drivers.files import read_bytes, replace_file, sync_directory
+from hil.records.files import AppendedFile, append_durably, held
 
 CHAIN = "rows.chain"
 _FORMAT = b"hil-rows/1\n"

@@ -15,10 +15,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import BestAvailableEncryption, Encoding, PrivateFormat
 from hostile import files
 
-from drivers.bounded_file import read_bytes
 from drivers.canopen.eds import load_eds
 from drivers.canopen.eds_text import MOST_MEMBERS
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from drivers.instruments.ascii_values import LONGEST_BYTES, AsciiDecoder, AsciiSettings
 from drivers.instruments.replay import MOST_LINES, Recording
 from drivers.instruments.values import BadLine, Value

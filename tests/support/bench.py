@@ -48,7 +48,7 @@ def number(value: float) -> str:
 
 
 def installed(folder: Path) -> dict[str, str]:
-    """Environment of a process that finds the program's modules compiled, as in any installation: its first run leaves them in a folder."""
+    """Environment of a process that finds the program's modules compiled, as any installation does: a first run leaves them here."""
     mine = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return mine | {"PYTHONPYCACHEPREFIX": str(folder)}
 

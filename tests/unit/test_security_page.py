@@ -9,7 +9,8 @@ import pytest
 from fuzz.targets import TARGETS
 
 import drivers.instruments.replay as recordings
-from drivers import bounded_file, toml_schema
+from drivers import files as outside_files
+from drivers import toml_schema
 from drivers.canopen import eds, eds_text
 from drivers.instruments import ascii_values, nd2xx, umd
 from hil.app.terminal import passwords
@@ -40,7 +41,7 @@ def test_the_bounds_are_those_of_the_code() -> None:
     assert (recordings.MOST_BYTES, recordings.MOST_LINES, recordings.MOST_CELLS) == (256 << 20, 1 << 22, 1 << 24)
     assert (files.DEEPEST, files.MOST_DIGITS, eds.MOST_DIGITS) == (64, 64, 64)
     assert toml_schema.MOST_BYTES == 4 << 20
-    assert (bounded_file.MOST_BYTES, eds.MOST_BYTES, eds_text.MOST_MEMBERS) == (256 << 20, 16 << 20, 1 << 14)
+    assert (outside_files.MOST_BYTES, eds.MOST_BYTES, eds_text.MOST_MEMBERS) == (256 << 20, 16 << 20, 1 << 14)
     assert passwords.MOST_BYTES == 1 << 20
     assert (ascii_values.LONGEST_BYTES, umd.MAX_LINE_BYTES, nd2xx.LONGEST_BYTES) == (200, 400, 40)
 

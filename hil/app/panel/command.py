@@ -13,10 +13,10 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.passwords import read_password_file
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.probe.machine_file import load_probe_machine
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

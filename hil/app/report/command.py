@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.app.jobs.identity import identity
 from hil.app.report.issue import add_certificate_options, write_certificates
 from hil.app.report.job import now, write_report
@@ -23,7 +23,7 @@ from hil.axis.axis_file import AxisConfig, load_axis, uncertainty_of
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.correction.tables import Band
 from hil.figures.uncertainty import Budget
-from hil.records.files import parse_json, replace_file
+from hil.records.files import parse_json
 from hil.records.journal import stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from drivers.clock import NS_PER_S
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import seed
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.progress import terminal_progress
@@ -25,7 +26,6 @@ from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
 from hil.diagnosis.loop.procedure import Loop, Turning, close_loop
 from hil.figures.verdict import Accuracy
 from hil.machine.wiring import connected
-from hil.records.files import replace_file
 from hil.records.journal import Campaign
 
 EXAMPLE = """\

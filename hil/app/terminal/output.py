@@ -18,8 +18,8 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from drivers.files import replace_file
 from hil.correction.sealed import Binding
-from hil.records.files import replace_file
 
 Align = Literal["left", "right"]
 PIPE_WIDTH = 140

@@ -11,8 +11,8 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.correction.sealed.errors import WrongKeyPasswordError, WrongPasswordError
 from hil.correction.sealed.keys import NEW_CHARACTERS, require_strong
 from hil.records.files import split_lines

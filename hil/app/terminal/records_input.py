@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.diagnosis.stored import measurement_of, pass_number
 from hil.effects import ALL, Effect
 from hil.effects.model import Model

@@ -15,8 +15,8 @@ from typing import Any
 
 from drivers.clock import WallClock
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.axis.connections import BENCH_MACHINES, BENCH_TABLES
-from hil.records.files import replace_file
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_faults import CanFaultKind
 from sim_backends.canopen_strict import StrictSlave

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
@@ -45,7 +46,6 @@ from hil.correction.manual import read_backlash, read_straightness
 from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import SingleTable, TableSet
 from hil.figures.verdict import Accuracy, At
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.jobs.figures import error_figures
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
@@ -34,7 +35,6 @@ from hil.calibration.straightness import straightness_in
 from hil.figures.commands.iso230 import print_figures
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget_um
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

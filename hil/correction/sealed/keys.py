@@ -29,11 +29,11 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.correction.sealed.container import SIGNATURE_BYTES, Cost
 from hil.correction.sealed.errors import CostError, DamagedError, ForeignSignatureError, WrongKeyPasswordError
-from hil.records.files import parse_json, replace_file
+from hil.records.files import parse_json
 
 KEY_COST = Cost(n=1 << 14, r=8, p=5)
 """As strong as the sealed files' default with half its memory, which other tools accept by default."""

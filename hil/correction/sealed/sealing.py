@@ -20,12 +20,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.correction.sealed import container, keys
 from hil.correction.sealed.container import Binding, Container, Cost, EntryHeader, Header
 from hil.correction.sealed.errors import SealedError, WrongPasswordError
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 
 Passwords = str | Mapping[str, str]
 """One common password, or one for each entry by name."""

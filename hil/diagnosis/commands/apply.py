@@ -7,6 +7,7 @@ import argparse
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.records_input import (
     add_effects_option,
@@ -17,7 +18,6 @@ from hil.app.terminal.records_input import (
 )
 from hil.effects.non_parametric import without_cause
 from hil.effects.user_effects import attributing_errors
-from hil.records.files import replace_file
 from hil.records.rows import to_csv
 
 EXAMPLE = """\

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import seed
 from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
 from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
@@ -18,7 +19,6 @@ from hil.diagnosis.next.design import design, plan_minutes
 from hil.diagnosis.next.planned_run import Means, Point
 from hil.diagnosis.next.plans import to_plan
 from hil.effects.user_effects import attributing_errors, check_on
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
 from hil.app.terminal.records_input import (
     add_effects_option,
@@ -18,7 +19,6 @@ from hil.diagnosis.follow_up import diagnosed
 from hil.diagnosis.job import read_passes
 from hil.diagnosis.pictures import with_plots
 from hil.effects.user_effects import attributing_errors
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

@@ -7,11 +7,11 @@ import argparse
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
 from hil.diagnosis.search.declare import fit_with
 from hil.effects.user_effects import attributing_errors, check_on
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
     add_password_options,
@@ -41,7 +42,6 @@ from hil.diagnosis.next.plans import read_plan
 from hil.effects.user_effects import attributing_errors
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
+from drivers.files import replace_file
 from hil.app.terminal.axis_options import add_password_options, add_zero_options, load_stored, open_store, tell_zero
 from hil.app.terminal.output import add_json_option, number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
@@ -16,7 +17,6 @@ from hil.figures.commands.iso230_4 import print_paths
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, by_standard
 from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
 from hil.machine.axes_wiring import connected_axes
-from hil.records.files import replace_file
 
 EXAMPLE = """\
 example:

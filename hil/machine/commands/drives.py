@@ -21,6 +21,7 @@ from drivers.canopen.units import motion_units, read_units, readings
 from drivers.clock import WallClock
 from drivers.drive_notes import DriveNotes, Wire, shipped_notes
 from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError
+from drivers.files import replace_file
 from drivers.modbus.drive_map import DriveMap, all_hold
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
@@ -35,7 +36,6 @@ from hil.axis.axis_file import load_drive_axis
 from hil.machine.commands.drives_shown import CANOPEN, factory, list_drives, show_drive, wanted
 from hil.machine.commands.first_axis_file import QUESTIONS, Answers, FirstContact, axis_text
 from hil.machine.who_is_there import canopen_nodes, modbus_units
-from hil.records.files import replace_file
 from hil.records.zero import POSITION_DEPENDENT_METHODS, explain_homing, homing_risk
 
 EXAMPLE = """\

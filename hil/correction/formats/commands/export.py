@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.app.terminal.axis_options import add_password_options, open_store, positive
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.records_input import add_effects_option, read_effects
@@ -28,7 +28,7 @@ from hil.correction.manual import read_manual_tables
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects.model import FORMAT as MODEL_FORMAT
 from hil.effects.model import Model
-from hil.records.files import naming, parse_json, replace_file
+from hil.records.files import naming, parse_json
 
 EXAMPLE = """\
 example:

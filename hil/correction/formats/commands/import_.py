@@ -8,8 +8,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.correction.formats import CONTROLLERS, MEASUREMENTS, manual_csv
 from hil.correction.formats.commands.options import (
@@ -23,7 +23,7 @@ from hil.correction.formats.commands.options import (
 from hil.correction.formats.common import both_directions
 from hil.correction.formats.measured_csv import parse_column
 from hil.correction.tables import TableSet
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 from hil.records.rows import Records, to_csv
 
 EXAMPLE = """\

@@ -6,8 +6,8 @@ import argparse
 import hashlib
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.app.terminal.output import add_json_option, binding_facts, print_facts, write_json
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.records.files import naming

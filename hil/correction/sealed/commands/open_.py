@@ -8,12 +8,12 @@ import os
 import sys
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.app.terminal.output import add_json_option, binding_facts, write_json
 from hil.app.terminal.passwords import add_reading_options, reading_passwords
 from hil.correction.sealed import check, load_public_key, open_sealed
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 
 EXAMPLE = """\
 example:

@@ -6,12 +6,12 @@ import argparse
 import os
 from pathlib import Path
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.passwords import KEY, add_key_options, add_reading_options, password, reading_passwords
 from hil.correction.sealed import check, is_sealed, load_private_key, require_strong_new, reseal, seal
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 
 EXAMPLE = """\
 example:

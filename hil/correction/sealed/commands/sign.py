@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import os
 
-from drivers.bounded_file import read_bytes
 from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.app.terminal.output import add_json_option, binding_facts, print_facts, write_json
 from hil.app.terminal.passwords import KEY, add_key_options, password
 from hil.axis.axis_file import load_axis
@@ -22,7 +22,7 @@ from hil.correction.sealed import (
     sign_detached,
 )
 from hil.correction.store import SealedStore
-from hil.records.files import naming, replace_file
+from hil.records.files import naming
 
 EXAMPLE = """\
 example:

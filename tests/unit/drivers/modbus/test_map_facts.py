@@ -204,7 +204,7 @@ def test_proofs_that_cannot_be_written_leave_the_old_ones(tmp_path: Path) -> Non
     old_handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10, before[1]))
     try:
-        with pytest.raises(OSError, match="too large"):
+        with pytest.raises(InputError, match="File too large"):
             FactLedger(path, "tcp unit 1", map_file).add(frozenset({Proof.STOP}))
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)

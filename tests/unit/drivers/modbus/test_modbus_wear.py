@@ -1,5 +1,6 @@
 """The EEPROM ledger: counts attempts, refuses beyond the budget, outlives the process, never half written."""
 
+import errno
 import json
 from pathlib import Path
 
@@ -53,10 +54,10 @@ def test_an_interrupted_write_leaves_the_old_counts(tmp_path: Path, monkeypatch:
     ledger.charge("X", "gain", 5)
 
     def broken(*_: object) -> None:
-        raise OSError("power cut")
+        raise OSError(errno.EIO, "power cut")
 
-    monkeypatch.setattr("drivers.modbus.wear.os.fsync", broken)
-    with pytest.raises(OSError, match="power cut"):
+    monkeypatch.setattr("drivers.files.os.fsync", broken)
+    with pytest.raises(InputError, match="power cut"):
         ledger.charge("X", "gain", 5)
     assert WearLedger(path).writes("X", "gain") == 1
     assert [each.name for each in tmp_path.iterdir()] == ["wear.json"]
