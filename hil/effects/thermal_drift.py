@@ -68,10 +68,7 @@ class ThermalDrift(Effect):
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if term.form.name in (UNEVEN, *SINCE_START) and not (seen := seen_in_rows(term)).determined:
-            return {
-                "drift_over_the_rows_um": seen.change,
-                f"least_time_constant_{time_unit(term)}": Estimate(seen.at_least, 0.0),
-            }
+            return {"drift_over_the_rows_um": seen.change, **seen.bounds(time_unit(term))}
         if term.form.name == UNEVEN:
             found = {"drift_um": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
             return found | {f"along_the_travel_{i}_um": term.coefficient(i) for i in range(1, POWERS)}
@@ -86,8 +83,8 @@ class ThermalDrift(Effect):
         if term.form.name in (UNEVEN, *SINCE_START) and not (seen := seen_in_rows(term)).determined:
             where = "on average over the travel" if term.form.name == UNEVEN else "as a whole"
             return (
-                f"The axis drifts by {seen.change} µm from the first row to the last, {where}; where it ends, and a time constant"
-                f" beyond {seen.at_least:.3g} {time_unit(term)}, these rows do not determine: something warms up from the start."
+                f"The axis drifts by {seen.change} µm from the first row to the last, {where}; {seen.open_end(time_unit(term))}:"
+                " something warms up from the start."
             )
         if term.form.name == UNEVEN:
             return (

@@ -69,8 +69,7 @@ class ThermalExpansion(Effect):
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:
-            least = Estimate(seen.at_least, 0.0)
-            found = {"expansion_over_the_rows_ppm": seen.change, f"least_time_constant_{time_unit(term)}": least}
+            found = {"expansion_over_the_rows_ppm": seen.change, **seen.bounds(time_unit(term))}
         elif is_since_start(term.form):
             found = {"expansion_ppm": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
         else:
@@ -89,7 +88,7 @@ class ThermalExpansion(Effect):
         if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:
             return (
                 f"The axis grows with time since the start{about}, by {seen.change} ppm of the position from the first row to the"
-                f" last; where it ends, and a time constant beyond {seen.at_least:.3g} {time_unit(term)}, these rows do not determine."
+                f" last; {seen.open_end(time_unit(term))}."
             )
         if is_since_start(term.form):
             tau = term.nonlinear(0)

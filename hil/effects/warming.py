@@ -32,6 +32,8 @@ LEAST_SEEN = 0.5
 """Share of a course that settles which must lie between the first row and the last for its final value to be stated: beyond
 that it is an extrapolation.
 """
+UNBOUNDED = 2.0
+"""Standard uncertainty over the time constant from which no bound of it is stated: it would be a fiftieth, and is often 1e-14 s."""
 GRID = 12
 """Time constants in the grid."""
 
@@ -86,12 +88,21 @@ class Seen:
     """What the rows show of a course that settles: its change from the first row to the last, in the unit of the coefficient.
 
     determined: whether final value and time constant follow from the rows; else only the change, and this bound of the time
-    constant, do
+    constant, do; None where the time constant has none either
     """
 
     change: Estimate
     determined: bool
-    at_least: float
+    at_least: float | None
+
+    def bounds(self, unit: str) -> dict[str, Estimate]:
+        """What is known of the time constant, as a parameter."""
+        return {} if self.at_least is None else {f"least_time_constant_{unit}": Estimate(self.at_least, 0.0)}
+
+    def open_end(self, unit: str) -> str:
+        """What these rows do not determine, for an explanation."""
+        beyond = "its time constant" if self.at_least is None else f"a time constant beyond {self.at_least:.3g} {unit}"
+        return f"where it ends, and {beyond}, these rows do not determine"
 
 
 def seen_in_rows(term: Term) -> Seen:
@@ -110,7 +121,7 @@ def seen_in_rows(term: Term) -> Seen:
         change += term.coefficients[1] * second
     variance = float(gradient @ np.array(term.covariance) @ gradient)
     known = all(one.std < MOST_UNSURE * abs(one.value) for one in (c, tau)) and share >= LEAST_SEEN
-    bound = tau.value * math.exp(-2.0 * tau.std / tau.value) if tau.value > 0.0 else 0.0
+    bound = tau.value * math.exp(-2.0 * tau.std / tau.value) if tau.std < UNBOUNDED * tau.value else None
     return Seen(Estimate(change, math.sqrt(max(variance, 0.0))), known, bound)
 
 

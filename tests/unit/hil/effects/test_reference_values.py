@@ -503,6 +503,21 @@ def test_what_rows_show_of_a_slow_warming_counts_both_masses() -> None:
     assert known.parameters["drift_over_the_rows_um"].std == pytest.approx(300.0 * 3.9299 / 3000.0, rel=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("effect", "inputs"), [("thermal_drift", ["time_s"]), ("thermal_expansion", ["time_s", "target_mm"])]
+)
+def test_a_time_constant_that_the_rows_do_not_bound_has_no_bound(effect: str, inputs: list[str]) -> None:
+    """3000 ± 1500 s is at least 3000/e = 1104 s; of 3000 ± 9000 s two standard uncertainties are a factor of e^6 = 403."""
+    rows = {"first_row": 0.0, "last_row": 600.0}
+    for std, bound in ((1500.0, {"least_time_constant_s": pytest.approx(1103.6, abs=0.1)}), (9000.0, {})):
+        found = term(effect, "warming since the start", inputs, [40.0], (3000.0,), constants=rows, stds=[1.0, std])
+        known = {name: one.value for name, one in found.parameters.items() if name.startswith("least")}
+        assert known == bound
+        said = found.effect.explain(found)
+        assert ("a time constant beyond 1.1e+03 s" in said) == bool(bound)
+        assert ("and its time constant, these rows do not determine" in said) != bool(bound)
+
+
 def test_drift_with_a_temperature_and_along_the_travel() -> None:
     assert basis("thermal_drift", "temperature", {"temp_head_c": [25.0, 19.0]}) == [[5.0], [-1.0]]
     plain = term("thermal_drift", "temperature", ["temp_head_c"], [2.0])
