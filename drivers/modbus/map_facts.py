@@ -67,7 +67,7 @@ class FactLedger:
 
     def __init__(self, path: Path, drive: str, map_file: Path) -> None:
         self._path = path
-        digest = hashlib.sha256(map_file.read_bytes()).hexdigest()[:16]
+        digest = hashlib.sha256(read_bytes(map_file)).hexdigest()[:16]
         self._key = f"{drive} by map {digest}"
 
     def proven(self) -> frozenset[Proof]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.axis.axis_file import DriveAxis
@@ -16,7 +17,7 @@ from hil.backlash.documents import verdict
 from hil.backlash.job import CompensationState, MeasuredBacklash
 from hil.backlash.result import NAMES, Reversal, mean_um
 from hil.backlash.trace import read_trace
-from hil.records.files import parse_json
+from hil.records.files import parse_json, split_lines
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,11 @@ def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
     if not files:
         return None
     method, reversals = backlash.backlash_config(axis).method, []
-    for line in files[-1].read_text(encoding="utf-8", errors="replace").splitlines():
+    try:
+        text = read_bytes(files[-1]).decode("utf-8", errors="replace")
+    except InputError:
+        return None
+    for line in split_lines(text):
         with suppress(ValueError, InputError, TypeError, KeyError):  # torn, or of a reversal that was broken off
             form = parse_json(line)
             reversals.append(Reversal.of(int(form["run"]), read_trace(form)))

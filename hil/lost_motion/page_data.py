@@ -10,6 +10,8 @@ from datetime import datetime
 
 import numpy as np
 
+from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.app.report.views import object_of, value_of
@@ -79,8 +81,8 @@ def kept_lost_motion(axis: DriveAxis) -> KeptLostMotion | None:
     if not files:
         return None
     try:
-        found = object_of(parse_json(files[-1].read_text(encoding="utf-8")))
-    except (OSError, ValueError):
+        found = object_of(parse_json(read_bytes(files[-1])))
+    except (InputError, ValueError):
         return None
     proof, parameters = object_of(found.get("proof")), object_of(found.get("parameters"))
     amount_um, over_um = value_of(found, "amount_um"), value_of(proof, "over_compensation_um")

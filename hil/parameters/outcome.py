@@ -8,7 +8,8 @@ from pathlib import Path
 
 import msgspec
 
-from drivers.files import replace_file
+from drivers.errors import InputError
+from drivers.files import read_bytes, replace_file
 from hil.axis.axis_file import DriveAxis
 from hil.parameters.compare import Comparison, Side
 from hil.parameters.preflight import Objection
@@ -65,7 +66,7 @@ def outcome_of(result: object) -> Outcome:
 
 
 def keep_outcome(axis: DriveAxis, result: object) -> None:
-    """Keep the outcome of a job that has just ended. Raises OSError."""
+    """Keep the outcome of a job that has just ended. Raises InputError, and OSError for a folder that cannot be made."""
     path = axis.store.directory / _KEPT
     path.parent.mkdir(parents=True, exist_ok=True)
     form = {**msgspec.to_builtins(outcome_of(result), enc_hook=str), "at": datetime.now().astimezone()}
@@ -75,8 +76,8 @@ def keep_outcome(axis: DriveAxis, result: object) -> None:
 def kept_outcome(axis: DriveAxis) -> Outcome | None:
     """The outcome of the last job, also of an earlier run of the server; None without a readable one."""
     try:
-        return msgspec.json.decode((axis.store.directory / _KEPT).read_bytes(), type=Outcome, dec_hook=_decode)
-    except (OSError, msgspec.MsgspecError):
+        return msgspec.json.decode(read_bytes(axis.store.directory / _KEPT), type=Outcome, dec_hook=_decode)
+    except (InputError, msgspec.MsgspecError):
         return None
 
 

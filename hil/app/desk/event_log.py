@@ -15,6 +15,8 @@ from datetime import datetime
 from enum import Enum
 from pathlib import Path
 
+from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.records.files import parse_json, split_lines
 
 EVENTS = "events.jsonl"
@@ -144,8 +146,8 @@ def _line(entry: Entry) -> bytes:
 def _read(path: Path) -> list[Entry]:
     entries = []
     try:
-        lines = split_lines(path.read_bytes().decode("utf-8", errors="replace"))
-    except OSError:
+        lines = split_lines(read_bytes(path).decode("utf-8", errors="replace"))
+    except InputError:
         return []
     for line in lines:
         try:

@@ -7,6 +7,7 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.errors import InputError
+from drivers.files import read_bytes
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.backlash.job import unrestored
 from hil.backlash.settings import NOTE
@@ -67,7 +68,7 @@ def discard(axis: DriveAxis, work: UnfinishedWork) -> None:
 
 def _rows(directory: Path) -> int:
     """Number of whole lines below the headings of all passes."""
-    lines = [line for path in directory.glob("*.csv") for line in path.read_bytes().split(b"\n")[:-1]]
+    lines = [line for path in directory.glob("*.csv") for line in read_bytes(path).split(b"\n")[:-1]]
     return sum(line[:1].isdigit() or line[:1] == b"-" for line in lines)
 
 
