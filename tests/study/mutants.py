@@ -29,6 +29,7 @@ import json
 import os
 import pickle
 import random
+import resource
 import signal
 import sys
 import tempfile
@@ -174,6 +175,8 @@ NAMES = dict(PAIRS) | {after: before for before, after in PAIRS}
 TEXTS = {"NFC": "NFKC", "big": "little", "little": "big"}
 TIMED_OUT = "timed out"
 """An outcome that counts as detected, and is tried again by a later run: the host may have been busy."""
+MOST_BYTES = 4 << 30
+"""Memory of a child: a loop that no longer ends may fill a list until its time is over."""
 PARTS = (ast.operator, ast.cmpop, ast.boolop, str)
 """Nodes without a text of their own: the whole expression is shown."""
 MULTIPLIES = (ast.Mult, ast.Div, ast.FloorDiv, ast.Mod, ast.Pow, ast.LShift, ast.RShift)
@@ -359,6 +362,7 @@ def child(work: Callable[[], int]) -> int:
         quiet = os.open(os.devnull, os.O_RDWR)
         for stream in (0, 1, 2):
             os.dup2(quiet, stream)
+        resource.setrlimit(resource.RLIMIT_DATA, (MOST_BYTES, MOST_BYTES))
         status = work()
     except BaseException:  # noqa: BLE001  (nothing may return into the parent's code)
         traceback.print_exc()
