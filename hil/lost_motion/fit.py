@@ -230,7 +230,7 @@ def _rms(values: Floats) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool = True) -> Fitted:
+def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool) -> Fitted:
     seen = rows.where(slice(None, None, max(1, len(rows.travel_mm) // FIT_ROWS)))
     s, y, w = seen.travel_mm, seen.risen_um, seen.weight
     span = float(s.max())

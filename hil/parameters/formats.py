@@ -10,7 +10,6 @@ from pathlib import Path
 
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import EdsFile, Key, load_eds
-from drivers.canopen.objects import DataType
 from drivers.canopen.pdo import EXISTS_NOT, pdo_of
 from drivers.canopen.whole_pdo import Block, pdo_at, wholes
 from drivers.errors import InputError
@@ -86,11 +85,7 @@ def _read_dcf(path: Path, node_id: int | None, pdos: bool) -> ParameterSet:
         )
         for key, each in found.items()
     }
-    objects = [
-        (key, each.entry.pack(each.value))
-        for key, each in found.items()
-        if pdo_of(key[0]) is not None and each.value is not None and each.entry.type is not DataType.DOMAIN
-    ]
+    objects = [(key, each.entry.pack(each.value)) for key, each in found.items() if each.value is not None]
     if pdos:
         _refuse_pdos_of_another_node(dcf, objects, node_id, path)
     given = {

@@ -11,6 +11,8 @@ from support import bench_axis
 from support.bench_axis import AXIS
 from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
 
+from drivers.canopen.bus import CanLink
+from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.clock import WallClock
 from drivers.errors import CapabilityError, InputError, StateError
 from drivers.raw_parameters import DriveIdentity
@@ -18,14 +20,18 @@ from hil.app.desk.progress import Phase, Progress
 from hil.app.desk.stop import StoppedByOperator
 from hil.app.jobs.job import Job, Workplace
 from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.machine.axis_lock import held_axis
 from hil.machine.events import Event
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
+from hil.parameters.download import Target
 from hil.parameters.job import keep_set, set_files
 from hil.parameters.outcome import BackedUp, kept_outcome
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
-from hil.parameters.wiring import connected_parameters
+from hil.parameters.snapshot import back_up
+from hil.parameters.wiring import connected_parameters, unconnected_parameters
+from sim_backends.canopen_drive import EDS
 from sim_backends.modbus_drive import tcp_server
 
 SIDES = {"old": [entry.raw for entry in OLD.entries], "new": [entry.raw for entry in NEW.entries]}
@@ -126,6 +132,27 @@ def test_a_set_of_another_version_is_refused_and_the_outcome_is_kept(axis: Drive
     assert kept.outcome == "refused"
 
 
+def test_what_needs_a_persons_leave_is_not_allowed_by_itself(axis: DriveAxis, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[Target] = []
+    monkeypatch.setattr(parameters, "download", lambda targets, **_: begun.extend(targets))
+    parameters.write_axes([axis], [NEW])
+    assert [(one.any_version, one.other_eds) for one in begun] == [(False, False)]
+
+
+def test_a_stop_is_possible_after_each_access(axis: DriveAxis) -> None:
+    """Also where no answer is waited for: nothing but the progress asks."""
+    operator, waited = Operator("write"), list[float]()
+    place = Workplace(axis, None, None, operator.hears, lambda _text: None, None, operator, lambda *_who: None)
+    report_progress = parameters._progress_events(place)
+    report_progress("read", "X", 1, 2)
+    assert operator.heard == [Event("read", "X", 1, 2)]
+    with pytest.raises(StoppedByOperator):
+        report_progress("write", "X", 1, 2)
+    operator.real = waited.append  # type: ignore[assignment,method-assign]
+    report_progress("write", "X", 2, 2)
+    assert waited == [0.0]
+
+
 def test_a_stop_in_the_middle_of_writing_puts_everything_back(axis: DriveAxis, face: FortyFace) -> None:
     with pytest.raises(StoppedByOperator):
         Operator("write").runs(axis, parameters.download_job(axis, NEW))
@@ -151,6 +178,8 @@ def test_what_was_cut_off_is_finished_or_taken_back(axis: DriveAxis, face: Forty
         Operator().runs(axis, parameters.download_job(axis, OLD))
     job = parameters.recover_job(axis, forward=forward)
     assert job.plan.locked
+    assert job.kind == ("parameters resume" if forward else "parameters rollback")
+    assert [write.what for write in job.plan.writes] == ["parameters" if forward else "parameters_back"]
     assert report(Operator().runs(axis, job)).good
     assert (face.ram, parameters.unfinished(axis)) == (SIDES[side], None)
     with pytest.raises(StateError, match="nothing to do"):
@@ -210,4 +239,75 @@ def test_a_drive_without_parameters_on_a_wire_is_refused(tmp_path: Path) -> None
     path.write_text(path.read_text().replace('backend = "bench"', 'backend = "bench"\nface = "virtual"'))
     bench = load_drive_axis(path)
     with pytest.raises(CapabilityError, match=r"its drive \(bench\) has no parameters"), connected_parameters([bench]):
+        pass
+
+
+def test_the_benchs_own_drive_answers(tmp_path: Path) -> None:
+    with connected_parameters([load_drive_axis(bench_axis.lay_out(tmp_path))]) as (drive,):
+        (backup,) = back_up([drive])
+    assert (backup.error, drive.name) == ("", "X")
+    assert backup.contents is not None
+    assert "6065h:00" in backup.contents.addresses
+
+
+STEP = "\n[2313]\nParameterName=Step\nObjectType=0x7\nDataType=0x0007\nAccessType=rw\nDefaultValue=0\n"
+
+
+def on_can(folder: Path, *lines: str, name: str = "X", bus: tuple[str, str] = ("virtual", "nobody")) -> DriveAxis:
+    """An axis whose drive is on a bus that nothing else is on, as node 5, and Y's as node 6."""
+    path = folder / f"{name}.toml"
+    place = (
+        f'[drive]\nbackend = "canopen"\ninterface = "{bus[0]}"\nchannel = "{bus[1]}"\nnode_id = {5 + (name == "Y")}\n'
+    )
+    path.write_text("\n".join([AXIS.replace('"X"', f'"{name}"') + place, *lines, ""]))
+    return load_drive_axis(path)
+
+
+@pytest.mark.parametrize(("lines", "refused"), [((), False), (('correction_table = "simulated_array"',), True)])
+def test_the_objects_of_a_drives_correction_table_are_no_parameters(
+    tmp_path: Path, lines: tuple[str, ...], refused: bool
+) -> None:
+    eds = tmp_path / "maker.eds"
+    eds.write_text(EDS.read_text(encoding="utf-8") + STEP, encoding="utf-8")
+    with unconnected_parameters([on_can(tmp_path, f'eds = "{eds}"', *lines)]) as (found,):
+        step = found.find("2313h:00")
+        assert step is not None
+        assert (step.refusal is not None) is refused
+
+
+def test_without_a_wire_no_adapter_is_opened_and_drives_on_one_bus_share_their_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed: list[str] = []
+    monkeypatch.setattr(CanOpenRawParameters, "close", lambda drive: closed.append(drive.name))
+    places = {"X": "nobody0", "Y": "nobody0", "Z": "nobody1"}
+    axes = [on_can(tmp_path, name=name, bus=("socketcan", channel)) for name, channel in places.items()]
+    with unconnected_parameters(axes) as (first, second, other):
+        assert (first.name, second.name, other.name) == ("X", "Y", "Z")
+        assert first.line is second.line is not other.line
+        assert closed == []
+    assert closed == ["Z", "Y", "X"]
+
+
+@pytest.mark.parametrize(("interface", "bitrate"), [("socketcan", 250_000), ("virtual", None)])
+def test_the_adapter_is_opened_with_the_bit_rate_which_a_virtual_bus_has_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, interface: str, bitrate: int | None
+) -> None:
+    opened: list[object] = []
+    virtual = CanLink.open
+
+    def opens(clock: WallClock, **how: object) -> CanLink:
+        opened.append((how["interface"], how["channel"], how["bitrate"]))
+        return virtual(clock, interface="virtual", channel=tmp_path.name)
+
+    monkeypatch.setattr(CanLink, "open", opens)
+    axes = [on_can(tmp_path, "bitrate = 250_000", name=name, bus=(interface, "nobody")) for name in ("X", "Y")]
+    with connected_parameters(axes) as (first, second):
+        assert first.line is second.line
+    assert opened == [(interface, "nobody", bitrate)]
+
+
+def test_an_axis_in_use_is_not_connected(tmp_path: Path) -> None:
+    axis = on_can(tmp_path)
+    with held_axis(axis), pytest.raises(InputError, match="in use"), connected_parameters([axis]):
         pass

@@ -24,6 +24,7 @@ from hil.machine.wiring import canopen_drive
 from hil.parameters.compare import compare
 from hil.parameters.download import Target, download
 from hil.parameters.formats import read_any, write_any
+from hil.parameters.job import load_set
 from hil.parameters.recover import set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, read_set, write_set
@@ -329,6 +330,15 @@ def test_a_dcf_of_another_node_does_not_bring_its_cob_ids(tmp_path: Path) -> Non
     ):
         read_any(path, 6)
     assert [entry.address for entry in read_any(path, 6, pdos=False).entries] == ["1402h:01"]
+    assert [entry.address for entry in load_set(path, load_drive_axis(axis_file(tmp_path, EDS, 5))).entries] == [
+        "1402h PDO"
+    ]
+    with pytest.raises(InputError, match="this drive is node 6"):
+        load_set(path, load_drive_axis(axis_file(tmp_path, EDS, 6)))
+    for harmless in ("0x406", "0x80000405"):  # of no node's predefined set but 6's; of a PDO that is out of use
+        path.write_text(path.read_text(encoding="utf-8").replace("ParameterValue=0x405", f"ParameterValue={harmless}"))
+        assert [entry.address for entry in read_any(path, 6).entries] == ["1402h PDO"]
+        path.write_text(path.read_text(encoding="utf-8").replace(f"ParameterValue={harmless}", "ParameterValue=0x405"))
 
 
 def test_objects_that_the_drives_file_lacks_are_told_in_one_line(rig: ParameterRig, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from bisect import bisect_left
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
@@ -197,6 +197,21 @@ def test_history_after_strokes_and_reversals() -> None:
     assert down.moved_to(14.0) is down
     again = down.moved_to(13.0).moved_to(20.0)
     assert (again.direction, again.since_reversal_mm, again.stroke_mm) == (1, 7.0, 2.0)
+
+
+def test_strokes_of_the_first_motion_and_after_every_loop_has_closed() -> None:
+    """0 → 10 → 4 → 11 mm: at first as after a long stroke; past 10 mm no reversal is remembered, as after a full stroke."""
+    history, long_mm = MotionHistory(0.0), 1e6
+    for target_mm, strokes_mm in (
+        (6.0, (6.0, long_mm, long_mm, long_mm)),
+        (10.0, (10.0, long_mm, long_mm, long_mm)),
+        (4.0, (6.0, long_mm, long_mm, long_mm)),
+        (9.0, (5.0, 6.0, long_mm, long_mm)),
+        (11.0, (long_mm,) * 4),
+    ):
+        history = history.moved_to(target_mm)
+        row = history.columns()
+        assert tuple(row[name] for name in BRANCH) == strokes_mm
 
 
 @given(st.floats(-100, 100), st.lists(st.floats(-100, 100), min_size=1, max_size=20))
@@ -429,13 +444,35 @@ def test_effects_of_position_are_held_against_the_bound_between_the_nodes() -> N
         Compensation(level(0.0, 0.0), (Bump(),)).check(CorrectionBound(7.0, 100.0), "tables")
 
 
-def test_the_slope_of_a_command_is_taken_half_a_millimetre_to_either_side() -> None:
-    """12 µm/mm up to 50 mm and level from there: 7.2 µm over the millimetre around 49.9 mm, 4.8 µm around 50.1 mm."""
-    steep = TableSet(
-        TableMode.BIDIRECTIONAL, DirectionalTable(np.array([0.0, 50.0, 100.0]), *[np.array([0.0, 600.0, 600.0])] * 2)
-    )
+@dataclass
+class Looking:
+    """An effect of position without an error; it remembers where it was asked for."""
+
+    needs: tuple[str, ...] = ("target_mm",)
+    asked_mm: list[Floats] = field(default_factory=list)
+
+    def error_um(self, columns: Columns) -> Floats:
+        self.asked_mm.append(columns["target_mm"])
+        return np.zeros(len(columns["target_mm"]))
+
+
+@pytest.mark.parametrize("nodes_mm", [[0.0, 100.0], [-60.0, 60.0], [0.0, 1.0, 100.0], [5.0, 5.15]])
+def test_effects_of_position_are_looked_at_from_end_to_end_no_more_than_a_tenth_apart(nodes_mm: list[float]) -> None:
+    looking = Looking()
+    Compensation(TableSet.zero(np.array(nodes_mm)), (looking,)).check(CorrectionBound(1.0), "tables")
+    for asked_mm in looking.asked_mm:
+        assert (asked_mm[0], asked_mm[-1]) == (nodes_mm[0], nodes_mm[-1])
+        assert np.max(np.diff(asked_mm)) <= 0.1 + 1e-9
+        assert set(nodes_mm) <= set(asked_mm)
+
+
+@pytest.mark.parametrize(("way", "nodes_um"), [(1, [0.0, 600.0, 600.0]), (-1, [600.0, 600.0, 0.0])])
+def test_the_slope_of_a_command_is_taken_half_a_millimetre_to_either_side(way: int, nodes_um: list[float]) -> None:
+    """12 µm/mm up to 50 mm and level from there: 7.2 µm over the millimetre around 49.9 mm, 4.8 µm around 50.1 mm; and mirrored."""
+    steep = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(np.array([0.0, 50.0, 100.0]), *[np.array(nodes_um)] * 2))
     history = MotionHistory(10.0, 1)
-    for target_mm, refused in ((49.5, True), (49.9, True), (50.1, False), (50.6, False)):
+    for beyond_mm, refused in ((-0.5, True), (-0.1, True), (0.1, False), (0.6, False)):
+        target_mm = 50.0 + way * beyond_mm
         engine, bound = Compensation(steep), CorrectionBound(1e4, 6.0)
         if refused:
             with pytest.raises(CorrectionBoundError, match="changes by"):

@@ -12,6 +12,8 @@ from hil.correction.published_rise import TwoTanh, published_moves, published_um
 
 FORM = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0, onset_2_mm=1.0)
 AT_ONCE = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0)
+LATE = TwoTanh(amount_1_um=1.0, amount_2_um=900.0, rise_1_mm=0.001, rise_2_mm=0.5, onset_2_mm=5.0)
+"""The second term begins 5000 lengths of the first after it."""
 # tanh 0.5 = 0.46211715726, tanh 1 = 0.76159415596, tanh 2 = 0.96402758008, tanh 4 = 0.99932929974
 
 
@@ -72,12 +74,19 @@ def test_moves_carry_the_last_correction_and_the_last_stroke_by_hand() -> None:
     assert [move.start_um for move in moves[1:]] == pytest.approx([0.0, 0.0, 0.0, -11.220354], abs=2e-6)
 
 
+def test_moves_of_a_form_whose_first_amount_is_0() -> None:
+    """After a full stroke |Pbm| = Pc2, which is of the second branch: 4·tanh(1/2) a mm beyond the onset, and nothing at once."""
+    (move,) = published_moves(TwoTanh(0.0, 4.0, 0.5, 2.0, 1.0), 0.0, 1, [-2.0])
+    assert (move.branch, move.start_um) == (2, 0.0)
+    assert move.published_um == pytest.approx(-1.84846862904, abs=2e-10)
+
+
 def test_after_a_full_stroke_it_is_the_whole_rise() -> None:
     for travel_mm in np.linspace(0.0, 9.0, 31).tolist():
         assert published_um(FORM, 1, travel_mm, 50.0, 12.0) == pytest.approx(FORM.risen_um(travel_mm), abs=1e-12)
 
 
-@pytest.mark.parametrize("form", [FORM, AT_ONCE, TwoTanh(1.0, 9.0, 3.0, 0.5, 2.0), TwoTanh(9.0, 0.0, 0.5, 1.0)])
+@pytest.mark.parametrize("form", [FORM, AT_ONCE, TwoTanh(1.0, 9.0, 3.0, 0.5, 2.0), TwoTanh(9.0, 0.0, 0.5, 1.0), LATE])
 def test_the_steepest_slope_is_reached_and_not_exceeded(form: TwoTanh) -> None:
     travels = np.arange(0.0, 6.0, 1e-4)
     slopes = np.diff([form.risen_um(float(s)) for s in travels]) / 1e-4

@@ -65,6 +65,23 @@ def test_literal_values(rise: Rise, travel_mm: float, expected_um: float) -> Non
 
 
 @pytest.mark.parametrize(
+    "rise",
+    [
+        Rise(TWO_TANH, (8.0, 0.0), (5.0, 0.1, 1.0)),
+        Rise(TWO_TANH, (0.0, 4.0), (0.5, 2.0, 1.0)),
+        Rise(TANH, (8.0,), (0.3,)),
+        Rise(EXPONENTIAL, (8.0,), (0.3,)),
+        Rise(DEAD_ZONE, (8.0,), (0.3,)),
+        Rise(STRAIGHT_PIECES, (1.0,) * 16, PLACES),
+    ],
+    ids=lambda rise: f"{rise.shape.name} {rise.amounts_um[0]:g}",
+)
+def test_a_rise_has_settled_where_it_is_its_amount_to_the_last_bit(rise: Rise) -> None:
+    assert rise.risen_um(rise.settled_mm) == rise.amount_um
+    assert rise.risen_um(0.9 * rise.settled_mm) < rise.amount_um  # and not much later than it has to be
+
+
+@pytest.mark.parametrize(
     ("shape", "amounts", "lengths"),
     [
         (TANH, (-1.0,), (0.5,)),
@@ -91,6 +108,7 @@ GOOD: dict[str, Any] = RISES[1].to_json()
         ({**GOOD, "more": 1}, "is not an object with the keys"),
         ({**GOOD, "shape": "cubic"}, "names the shape 'cubic', expected one of two tanh"),
         ({**GOOD, "amounts_um": [True]}, "amounts_um is not a list of numbers"),
+        ({**RISES[0].to_json(), "amounts_um": [8.0, "4"]}, "amounts_um is not a list of numbers"),
         ({**GOOD, "lengths_mm": "0.5"}, "lengths_mm is not a list of numbers"),
         ({**GOOD, "lengths_mm": [-0.5]}, "x.lost-motion: tanh"),
     ],

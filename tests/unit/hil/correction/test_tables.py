@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -218,6 +220,33 @@ def test_the_digest_tells_tables_apart_by_one_bit() -> None:
     assert one.digest() != other.digest()
 
 
+def test_the_digest_is_that_of_the_plain_form_with_its_keys_in_order() -> None:
+    """The text by hand: reports of earlier versions name tables by the same digest."""
+    at = np.array([0.0, 10.0])
+    tables = TableSet(
+        TableMode.UNIDIRECTIONAL_BACKLASH,
+        DirectionalTable(at, np.array([1.0, 2.5]), np.array([3.0, -4.0])),
+        SingleTable(np.array([5.0]), np.array([6.0])),
+        straightness_axis="Y",
+    )
+    text = (
+        '{"backlash":{"position_mm":[5.0],"value_um":[6.0]},"format":"hil-tables/1","mode":"unidirectional+backlash",'
+        '"pitch":{"minus_um":[3.0,-4.0],"plus_um":[1.0,2.5],"position_mm":[0.0,10.0]},'
+        '"specified":null,"straightness":null,"straightness_axis":"Y"}'
+    )
+    assert tables.digest() == hashlib.sha256(text.encode()).hexdigest()
+
+
+def test_tables_are_equal_by_their_kind_and_all_their_numbers() -> None:
+    at, values = np.array([0.0, 1.0]), np.array([1.0, 2.0])
+    one = SingleTable(at, values)
+    assert one == SingleTable(at.copy(), values.copy())
+    assert one != SingleTable(at, np.array([1.0, 2.5]))
+    assert one != SingleTable(np.array([0.0, 1.5]), values)
+    assert one != DirectionalTable(at, values, values)
+    assert one != (at, values)
+
+
 def plain(**changed: Any) -> dict[str, Any]:
     form = TableSet(
         TableMode.UNIDIRECTIONAL_BACKLASH,
@@ -246,6 +275,10 @@ MALFORMED: dict[str, tuple[Any, str]] = {
     "a column missing": (plain(pitch={"position_mm": [0.0], "plus_um": [0.0]}), "minus_um"),
     "a column that is no list": (plain(**pitch(plus_um=1.0)), "pitch.plus_um"),
     "lengths that differ": (plain(**pitch(plus_um=[1.0])), "pitch: plus_um"),
+    "a backlash of another length": (
+        plain(backlash={"position_mm": [0.0, 1.0], "value_um": [5.0]}),
+        "backlash: value_um has 1 values for 2 positions",
+    ),
     "true as a number": (plain(**pitch(plus_um=[True, 1.0])), "True"),
     "text as a number": (plain(**pitch(plus_um=["1", 1.0])), "'1'"),
     "null as a number": (plain(**pitch(minus_um=[None, 1.0])), "None"),
@@ -284,6 +317,23 @@ def test_a_direction_that_is_neither_plus_nor_minus_is_refused_not_guessed(direc
 def test_scaled_corrections_are_so_many_times_as_large() -> None:
     scaled = DirectionalTable(np.array([0.0, 1.0]), np.array([1.0, 2.0]), np.array([3.0, -4.0])).scaled(4.0)
     assert (scaled.plus_um.tolist(), scaled.minus_um.tolist()) == ([4.0, 8.0], [12.0, -16.0])
+
+
+def test_the_sum_of_two_tables_holds_the_nodes_and_each_direction_of_both() -> None:
+    """Midway, at 50 mm, the first is 15 µm in + and 150 in −."""
+    one = DirectionalTable(np.array([0.0, 100.0]), np.array([10.0, 20.0]), np.array([100.0, 200.0]))
+    total = one.plus(DirectionalTable(np.array([50.0]), np.array([3.0]), np.array([-7.0])))
+    assert total.position_mm.tolist() == [0.0, 50.0, 100.0]
+    assert total.plus_um.tolist() == [13.0, 18.0, 23.0]
+    assert total.minus_um.tolist() == [93.0, 143.0, 193.0]
+
+
+def test_a_backlash_that_is_not_added_has_no_nodes() -> None:
+    """Beside tables of both directions it is knowledge alone."""
+    two = DirectionalTable.constant(np.array([0.0, 100.0]), 1.0)
+    backlash = SingleTable(np.array([30.0]), np.array([4.0]))
+    assert TableSet(TableMode.BIDIRECTIONAL, two, backlash).nodes_mm.tolist() == [0.0, 100.0]
+    assert TableSet(TableMode.MEAN_BACKLASH, two, backlash).nodes_mm.tolist() == [0.0, 30.0, 100.0]
 
 
 def test_tables_whose_directions_differ_at_one_place_correct_a_reversal() -> None:
@@ -623,6 +673,7 @@ def test_a_band_narrower_than_the_repeatability_is_refused_with_both_figures() -
     with pytest.raises(InputError, match=r"6 to 6\.1 µm is 0\.10 µm wide.*repeatability of 0\.60 µm"):
         Band(6.0, 6.1).check_repeatability(0.15)
     BAND.check_repeatability(0.15)
+    BAND.check_repeatability(0.25)  # 4 s is its width
     with pytest.raises(InputError, match="at least 2 runs"):
         BAND.check_repeatability(math.nan)
 
@@ -653,7 +704,26 @@ def test_many_positions_give_what_single_ones_do(table: DirectionalTable, seed: 
         table.at(position, np.where(position > first, 0.0, 1.0))
 
 
+@pytest.mark.parametrize(("count", "searches"), [(1, 2), (10, 2), (5000, 1)])
+def test_many_positions_are_searched_once_and_few_in_each_direction(
+    count: int, searches: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One search saves time where there are many; few are to the last bit what the one direction's table gives."""
+    table = DirectionalTable(np.array([-5.0, 0.1, 7.0]), np.array([0.3, 2.7, -1.1]), np.array([4.9, -0.7, 0.9]))
+    position, direction = np.linspace(-6.0, 8.0, count), np.resize([-1.0, 1.0], count)
+    columns = {-1.0: table.minus_um, 1.0: table.plus_um}
+    expected = [
+        np.interp(place, table.position_mm, columns[way]) for place, way in zip(position, direction, strict=True)
+    ]
+    search = Mock(wraps=np.interp)
+    monkeypatch.setattr(np, "interp", search)
+    found = table.at(position, direction)
+    assert search.call_count == searches
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 if count > 10 else 0.0)
+
+
 def test_places_that_nearly_coincide_are_looked_up_one_direction_at_a_time() -> None:
-    table = DirectionalTable(np.array([0.0, 1e-15, 100.0]), np.array([0.0, 5.0, 1.0]), np.array([2.0, 0.0, 3.0]))
-    found = table.at(np.full(2000, 1e-15), np.repeat([1.0, -1.0], 1000))
-    assert set(found.tolist()) == {5.0, 0.0}
+    table = DirectionalTable(np.array([0.0, 1e-15, 100.0]), np.array([0.0, 5.0, 1.0]), np.array([2.0, 7.0, 3.0]))
+    for place, plus_um, minus_um in ((0.0, 0.0, 2.0), (1e-15, 5.0, 7.0)):
+        found = table.at(np.full(2000, place), np.repeat([1.0, -1.0], 1000))
+        assert (set(found[:1000]), set(found[1000:])) == ({plus_um}, {minus_um})

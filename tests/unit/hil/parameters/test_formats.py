@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -114,3 +115,11 @@ def test_a_dcf_is_of_the_drive_in_its_head_and_else_of_the_one_in_its_identity_o
     assert found.identity is not None
     assert found.identity.model == model
     assert [(entry.address, entry.value) for entry in found.entries] == [("2210h:00", 5)]
+
+
+def test_a_dcf_that_names_no_drive_is_of_any(tmp_path: Path) -> None:
+    path = tmp_path / "s.dcf"
+    path.write_text(re.sub("DefaultValue=0x.*\n", "", DCF.format(vendor="0", product="0")))
+    found = read_any(path)
+    assert found.identity is not None
+    assert found.identity.model == {}

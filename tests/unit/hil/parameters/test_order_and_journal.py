@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -48,6 +49,12 @@ def test_limits_never_cross(before: list[int], wanted: list[int]) -> None:
         assert held["low"] <= held["high"]
 
 
+def test_a_pair_that_is_not_entirely_known_has_no_order() -> None:
+    whole = {"low": 1.0, "high": 2.0}
+    for one in ({}, {"low": 5.0}, {"high": 5.0}):
+        assert uncrossed([PAIR], whole, one) == uncrossed([PAIR], one, whole) == []
+
+
 NOTED = (Noted("2210h:01", "gain", b"\1\0", b"\2\0", ("2210h:02",)), Noted("x", "", b"", b"\xff"))
 IDENTITY = DriveIdentity("canopen", {"vendor_id": 1}, {}, {"serial": 5})
 
@@ -72,6 +79,21 @@ def test_a_journal_says_what_was_to_be_done_and_how_far_it_came(tmp_path: Path) 
     assert last is not None
     assert last.ending == "WRITTEN"
     assert journal.begin("X", "next", "", IDENTITY, NOTED, store=False).path.name == "download-0002.jsonl"
+
+
+def test_each_step_is_on_the_disk_before_the_next_and_no_file_stays_open(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The first with the folder that the new file's name is in."""
+    synced: list[tuple[int, int]] = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append((handle, os.fstat(handle).st_ino)))
+    journal = _begun(tmp_path)
+    journal.note(journal.unfinished(), Phase.PROVEN)  # type: ignore[arg-type]
+    file, folder = (tmp_path / "download-0001.jsonl").stat().st_ino, tmp_path.stat().st_ino
+    assert [inode for _, inode in synced] == [file, folder, file]
+    for handle, _ in synced:
+        with pytest.raises(OSError, match="Bad file descriptor"):
+            os.fstat(handle)
 
 
 def test_a_line_torn_anywhere_does_not_count_and_the_next_one_stands_alone(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ import pytest
 from drivers.errors import InputError
 from drivers.parameters import ParameterKind
 from hil.correction.store import BoundTables
+from hil.parameters.job import _backlash_of
 from hil.parameters.preflight import Objection, Wanted, data_of, notes_of_units, objections_to_reversal
 from hil.parameters.set_file import SetEntry
 
@@ -100,6 +101,23 @@ def test_another_amount_than_the_tables_were_made_with_is_refused(corrects: bool
     assert (found.address, found.name) == ("bl", "name of bl")
     assert "would be 6, the stored tables of axis X were made with 5 " in found.why
     assert objections_to_reversal(DRIVE, made, [], [wanted("bl", 5.0)], {"bl": packed(6.0)}) == []
+
+
+@pytest.mark.parametrize(
+    ("parameter_", "acceleration", "addresses"),
+    [
+        ("2201h", None, ("2201h:00",)),
+        ("2201h:01", "202Ah", ("2201h:01", "202Ah:00")),
+        ("gain", None, ("gain",)),
+        (None, None, ()),
+    ],
+)
+def test_the_axis_files_backlash_is_named_as_sets_name_it(
+    parameter_: str | None, acceleration: str | None, addresses: tuple[str, ...]
+) -> None:
+    axis = SimpleNamespace(backlash=SimpleNamespace(parameter=parameter_, acceleration=acceleration))
+    assert _backlash_of(cast(Any, axis)) == addresses
+    assert _backlash_of(cast(Any, SimpleNamespace(backlash=None))) == ()
 
 
 def test_tables_that_leave_the_reversal_alone_object_to_nothing() -> None:

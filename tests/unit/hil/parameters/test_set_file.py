@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -52,6 +54,23 @@ def test_any_values_survive_the_file(
     entries = tuple(SetEntry(object_address(index, subindex), value) for index, subindex, value in members)  # type: ignore[arg-type]
     write_set(path, ParameterSet("any", None, entries))
     assert read_set(path).entries == entries
+
+
+def test_numbers_that_are_none_survive_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "set.toml"
+    entries = tuple(SetEntry(f"r{number}", value) for number, value in enumerate((math.inf, -math.inf, math.nan)))
+    write_set(path, ParameterSet("odd", None, entries))
+    plus, minus, none = (entry.value for entry in read_set(path).entries)
+    assert (plus, minus) == (math.inf, -math.inf)
+    assert isinstance(none, float)
+    assert math.isnan(none)
+
+
+def test_the_hash_is_of_what_an_identity_says_in_whatever_order() -> None:
+    one = DriveIdentity("canopen", {"vendor_id": 1, "product_code": 2}, {"firmware": "1", "revision": 3})
+    other = DriveIdentity("canopen", {"product_code": 2, "vendor_id": 1}, {"revision": 3, "firmware": "1"})
+    assert replace(SET, identity=one).digest() == replace(SET, identity=other).digest()
+    assert replace(SET, identity=one).digest() != SET.digest()
 
 
 def test_comments_and_blanks_are_free_but_values_are_not(tmp_path: Path) -> None:

@@ -56,3 +56,27 @@ def test_an_error_of_one_line_ends_the_others_and_is_raised() -> None:
     with pytest.raises(ZeroDivisionError):
         _in_threads([(clock, fails), (clock, runs)])
     assert ended in (["Y"], [])  # it may have been ended before its first step
+
+
+def test_ctrl_c_is_raised_even_where_another_line_has_failed_before() -> None:
+    clock, failed = WallClock(), threading.Event()
+
+    def fails(_guard: Guard) -> None:
+        failed.set()
+        raise ZeroDivisionError
+
+    def interrupted(guard: Guard) -> None:
+        failed.wait(10.0)
+        time.sleep(0.05)  # the failure has been taken by then
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)
+
+    with pytest.raises(KeyboardInterrupt):
+        _in_threads([(clock, fails), (clock, interrupted)])
+
+
+def test_a_line_that_hangs_does_not_keep_the_program_from_ending() -> None:
+    """Python waits at its end for every thread that is no daemon."""
+    clock, daemons = WallClock(), list[bool]()
+    _in_threads([(clock, lambda _guard: daemons.append(threading.current_thread().daemon))] * 2)
+    assert daemons == [True, True]

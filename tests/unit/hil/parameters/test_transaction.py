@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,10 +12,12 @@ from support.paper_drive import IDENTITY, PaperDrive, done
 
 from drivers.drive import DriveState
 from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
-from drivers.raw_parameters import DriveIdentity, WireTime
+from drivers.parameters import ParameterValue
+from drivers.raw_parameters import DriveIdentity, RawParameter, WireTime
+from hil.correction.store import BoundTables
 from hil.parameters.compare import Side, compare
 from hil.parameters.download import Target, download
-from hil.parameters.journal import Journal, Noted, Phase
+from hil.parameters.journal import Download, Journal, Noted, Phase
 from hil.parameters.predict import predict, seconds_together
 from hil.parameters.preflight import match_set, objection_to_state, objections_to_identity
 from hil.parameters.recover import Unfinished, recover, set_after, set_before
@@ -23,6 +26,7 @@ from hil.parameters.restart import load_defaults, restart_drive
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import DriveJob
+from hil.records.made_with import MadeWith
 
 REFUSED = AbortError("no", 0x06090030)
 
@@ -49,6 +53,22 @@ def test_only_what_differs_is_written_and_only_that_is_read_back() -> None:
     assert bring(drive, a=1, b=7, c=3) == ["b"]
     assert drive.log == ["w b 7", "r b"]
     assert drive.number("b") == 7
+
+
+class ReservedBit(PaperDrive):
+    """Shows its highest bit set or not, as it likes; its file has no b."""
+
+    def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
+        return (shown[0], shown[1] & 0x7F) == (meant[0], meant[1] & 0x7F)
+
+    def find(self, address: str) -> RawParameter | None:
+        return None if address == "b" else super().find(address)
+
+
+def test_what_differs_is_by_the_parameters_type_and_without_a_parameter_by_the_bytes() -> None:
+    drive = ReservedBit(a=0x8005, b=0x8005, c=0x8005)
+    assert bring(drive, a=5, b=5, c=6) == ["b", "c"]
+    assert bring(drive, a=5, b=5, c=6) == []
 
 
 def test_a_drive_whose_starts_nobody_hears_is_read_back_entirely_once_anything_was_written() -> None:
@@ -249,6 +269,10 @@ def test_a_download_looks_writes_proves_and_stores(tmp_path: Path) -> None:
     assert (report.rows[0].read_s, report.rows[0].write_s) == pytest.approx((0.001, 0.001))
     assert report.seconds == pytest.approx(0.006)
     assert stages == [("look", 1, 2), ("look", 2, 2), *[("write", n, 4) for n in (1, 2, 3, 4)]]
+    stages.clear()
+    target = Target(PaperDrive(a=1), the_set(a=5), Journal(tmp_path / "one"))
+    download([target], progress=lambda *told: stages.append((told[0], *told[2:])))
+    assert stages == [("look", 1, 1), ("write", 1, 2), ("write", 2, 2)]
 
 
 def test_what_is_the_same_is_not_written_and_stored_only_when_asked(tmp_path: Path) -> None:
@@ -307,6 +331,44 @@ def test_one_refused_drive_leaves_the_others_untouched(tmp_path: Path) -> None:
     unreadable = PaperDrive(a=1)
     unreadable.on_read = fails_once(REFUSED, "a")
     assert "cannot be read: " in str(load(unreadable, tmp_path / "z", a=5).objections[0])
+
+
+def test_stored_tables_object_to_another_backlash_and_other_units_are_told(tmp_path: Path) -> None:
+    """They were made with a backlash of 2 and a gear of 3: as it is it may be written, 5 and 4 not, and 4 beside 2 is told."""
+    tables = BoundTables("X", None, MadeWith({"gear": 3.0}, {"backlash": 2.0}), corrects_reversal=True)
+    for backlash, gear, ending, notes in (
+        (2, 3, Ending.UNCHANGED, 0),
+        (5, 3, Ending.REFUSED, 0),
+        (2, 4, Ending.WRITTEN, 1),
+    ):
+        drive = PaperDrive(backlash=2, gear=3)
+        contents = the_set(backlash=backlash, gear=gear)
+        folder = tmp_path / f"{backlash} {gear}"
+        (report,) = download([Target(drive, contents, Journal(folder), tables=tables)])
+        assert (report.ending, len(report.notes)) == (ending, notes)
+        assert [each.address for each in report.objections] == (["backlash"] if ending is Ending.REFUSED else [])
+
+
+class FullDisk(Journal):
+    """Cannot be written any more when a download goes back."""
+
+    def note(self, download: Download, phase: Phase, **facts: object) -> None:
+        if phase is Phase.GOING_BACK:
+            raise InputError("cannot be written: the disk is full")
+        super().note(download, phase, **facts)
+
+
+def test_a_full_disk_is_told_and_no_reason_to_leave_a_drive_as_it_is(tmp_path: Path) -> None:
+    drive = PaperDrive(a=1, b=2)
+
+    def refuses_b(address: str, value: int) -> None:
+        if (address, value) == ("b", 6):
+            raise REFUSED
+
+    drive.on_write = refuses_b
+    (report,) = download([Target(drive, the_set(a=5, b=6), FullDisk(tmp_path))])
+    assert (report.ending, drive.number("a")) == (Ending.PUT_BACK, 1)
+    assert report.notes == ("cannot be written: the disk is full",)
 
 
 def test_a_failing_drive_has_the_unchanged_ones_stay_unchanged(tmp_path: Path) -> None:
@@ -401,6 +463,20 @@ def test_an_audit_reads_all_of_it_again_after_a_start(tmp_path: Path) -> None:
         assert drive.log[-3:] == ["restart", "r a", "r b"]
 
 
+def test_an_audit_that_did_not_come_to_its_end_proves_nothing(tmp_path: Path) -> None:
+    drive = PaperDrive(a=1)
+
+    def silent() -> None:
+        if "restart" in drive.log:
+            raise NoAnswerError("silence")
+
+    drive.on_state = silent
+    (report,) = download([Target(drive, the_set(a=5), Journal(tmp_path))], store=True, ask=pytest.fail)
+    assert (report.ending, report.stored, report.audited, report.lost) == (Ending.WRITTEN, True, False, ())
+    assert "does not answer after its restart" in report.error
+    assert "not proven: the restart that was to show it did not succeed" in report.kept
+
+
 @pytest.mark.parametrize(("silent_s", "good"), [(14.5, True), (15.5, False)])
 def test_a_drive_has_fifteen_seconds_to_start(silent_s: float, good: bool) -> None:
     drive = PaperDrive()
@@ -468,7 +544,10 @@ def test_going_on_in_either_direction(
     forward = way == "on"
     journal = begun(tmp_path, *notes, store=store)
     drive = PaperDrive(a=held[0], b=held[1])
-    report = recover([Unfinished(drive, journal)], forward=forward)[0]
+    stages: set[str] = set()
+    progress = lambda stage, *_: stages.add(stage)  # noqa: E731
+    report = recover([Unfinished(drive, journal)], forward=forward, progress=progress)[0]
+    assert stages == {"resume" if forward else "put back"}
     assert (drive.number("a"), drive.number("b")) == ((5, 6) if forward else (1, 2))
     assert report.ending is (Ending.WRITTEN if forward else Ending.PUT_BACK)
     assert (report.good, report.stored) == (True, stores)
@@ -476,8 +555,9 @@ def test_going_on_in_either_direction(
     writes = [line for line in drive.log if line.startswith("w")]
     if len(writes) == 2:
         assert [line[2] for line in writes] == ["b", "a"]  # a is to come after b
-    assert (Phase.GOING_BACK.name in phases(tmp_path)) is (not forward)
-    assert phases(tmp_path)[-1] == "END"
+    going = [Phase.PROVEN] if forward else [Phase.GOING_BACK]
+    storing = [Phase.STORING, Phase.STORED] if stores else []
+    assert phases(tmp_path) == [phase.name for phase in (Phase.BEGIN, *notes, *going, *storing, Phase.END)]
     assert recover([Unfinished(drive, journal)], forward=forward) == []
 
 
@@ -506,6 +586,7 @@ def test_both_sides_of_a_download_as_sets(tmp_path: Path) -> None:
     assert [e.raw for e in set_after(noted).entries] == ["0500", "0600"]
     assert (set_before(noted).name, set_after(noted).name) == ("before new", "new")
     assert noted.changes
+    assert replace(noted, parameters=(Noted("a", "", b"\1", b"\1"), Noted("b", "", b"\1", b"\2"))).changes
 
 
 def test_the_last_change_is_not_one_that_only_kept(tmp_path: Path) -> None:
@@ -558,6 +639,7 @@ def test_what_a_download_costs() -> None:
     assert (some.look.frames, some.write.frames, some.whole.frames) == (2, 3, 5)
     assert (every.write.frames, every.whole.answers) == (6, 6)
     assert some.as_json()["write"]["bits_most"] == 360
+    assert predict(drive, wanted, []).write.frames == 0
     one, other = (
         WireTime(seconds_least=0.1, seconds_likely=0.2, seconds_most=0.4, answers=10),
         WireTime(seconds_least=0.05, seconds_likely=0.05, seconds_most=0.05, answers=90),
@@ -577,6 +659,9 @@ def test_which_answers_are_slow() -> None:
     usual = [row(f"u{i}", 0.001, 0.001) for i in range(5)]
     found = slow([*usual, row("a", 0.0051), row("b", 0.0049), row("c", 0.001, 0.009), row("d", None, None)])
     assert [one.address for one in found] == ["c", "a"]
+    either = [row("a", 0.0051), row("c", 0.001, 0.009), row("e", 0.006, 0.006), row("f", 0.02, 0.001)]
+    either.append(row("g", None, 0.007))
+    assert [one.address for one in slow([*usual, *either])] == ["f", "c", "g", "e", "a"]  # by the slower of both
     quick = [row(f"u{i}", 0.0001, 0.0001) for i in range(5)]
     assert [one.address for one in slow([*quick, row("a", 0.0022), row("b", 0.002)])] == ["a"]
     assert slow([row("a", None)]) == []
@@ -604,6 +689,12 @@ def test_what_is_good() -> None:
     )
 
 
+def test_what_a_restart_showed_to_be_lost_is_named_up_to_eight() -> None:
+    lost = tuple(f"a{number}" for number in range(10))
+    kept = JobReport("X", Ending.WRITTEN, stored=True, audited=False, lost=lost).kept
+    assert "Different after the restart (10): a0, a1, a2, a3, a4, a5, a6, a7; `hil" in kept
+
+
 def test_a_set_against_a_drive() -> None:
     """An answer takes 1 ms, of which 0.11 ms are the bus's; what differs costs a write and a read, what is the same a read."""
     drive = PaperDrive(a=1, b=2, c=3)
@@ -615,6 +706,8 @@ def test_a_set_against_a_drive() -> None:
         (2, 6, Side.DIFFERS),
         (None, 7, Side.UNKNOWN),
     ]
+    assert [r.why for r in found.rows] == ["", "", str(REFUSED)]
+    assert found.notes == []
     assert found.cost.frames == 2 + 1 + 2
     assert compare([(PaperDrive(a=1, b=2, c=3), the_set(a=1, b=2, c=7))])[0].cost.frames == 3 + 1 + 2
     assert found.answer_s == pytest.approx(0.00089)
@@ -626,6 +719,37 @@ def test_a_set_against_a_drive() -> None:
     other = replace(the_set(a=1), identity=replace(IDENTITY, version={"firmware": "1"}))
     assert not compare([(drive, other)])[0].same
     assert compare([(drive, other)], any_version=True)[0].same
+
+
+@pytest.mark.parametrize(("took_ms", "answer_s"), [((1, 2, 9, 4, 3), 0.00389), ((5, 1, 2), 0.00289), ((), 0.0)])
+def test_the_drives_own_time_is_the_median_of_its_answers(took_ms: tuple[int, ...], answer_s: float) -> None:
+    """One more than in the list, as an access takes a millisecond by itself, less 0.11 ms on the bus; of no answer none."""
+    drive, left = PaperDrive(**{f"p{number}": 1 for number in range(len(took_ms) or 1)}), list(took_ms)
+
+    def answers(_address: str) -> None:
+        if not took_ms:
+            raise REFUSED
+        drive.clock.sleep_s(1e-3 * left.pop())
+
+    drive.on_read = answers
+    (found,) = compare([(drive, the_set(**dict.fromkeys(drive.held, 1)))])
+    assert found.answer_s == pytest.approx(answer_s)
+
+
+class Bytewise(PaperDrive):
+    """Shows bytes."""
+
+    def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
+        return data if entry.address == "b" else super().decode(entry, data)
+
+
+def test_a_comparison_as_json() -> None:
+    (found,) = compare([(Bytewise(a=1, b=2), the_set(a=1, b=0x0A0B))])
+    form = json.loads(json.dumps(found.as_json()))
+    assert [(one["held"], one["wanted"], one["side"]) for one in form["parameters"]] == [
+        (1, 1, "same"),
+        ("0200", "0b0a", "differs"),
+    ]
 
 
 def test_a_backup_is_of_what_may_be_written_unless_all_is_asked_for() -> None:
@@ -645,5 +769,10 @@ def test_a_backup_is_of_what_may_be_written_unless_all_is_asked_for() -> None:
     drive.on_read = fails_once(NoAnswerError("silence"), "c")
     silent = back_up([drive])[0]
     assert (silent.contents, silent.error) == (None, "silence")
+    three = PaperDrive(a=1, b=2, c=3)
+    for at, kept_of in (("b", ("a", "c")), ("c", None)):  # one that answered afterwards was not lost
+        three.on_read = fails_once(NoAnswerError("silence"), at)
+        contents = back_up([three])[0].contents
+        assert (contents and contents.addresses) == kept_of
     drive.on_read = lambda _address: setattr(drive, "starts", drive.starts + 1)
     assert "started anew" in back_up([drive])[0].error
