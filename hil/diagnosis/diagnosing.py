@@ -153,7 +153,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
-    told = offered(found_out, structures, left_out, fitted_um, alone, formless=bool(left))
+    told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
 
 

@@ -159,14 +159,16 @@ class Known:
 class JointFit:
     """Table and terms estimated together.
 
-    whole: with every term, the declared ones first; extended: with the terms a machine is compensated for, the static
-    part of the others left in its table; found: the terms of the choices; white_um: standard deviation of the white
-    noise
+    whole: with every term, the declared ones first; extended: with the terms a machine is compensated for; its table keeps what it
+    can hold of everything else, other terms and nuisance columns: their mean over these rows predicts other rows better than nothing
+    bare: the extended model without that share of the nuisance columns, for a model that has these themselves
+    found: the terms of the choices; white_um: standard deviation of the white noise
     nuisance_um: fitted value of the nuisance columns on every row, shape (n,)
     """
 
     whole: Model
     extended: Model
+    bare: Model
     found: tuple[Term, ...]
     white_um: float
     nuisance_um: Floats
@@ -244,13 +246,18 @@ def joint_fit(
         return table
 
     whole = Model(table_of(solution.table[:w]), (*declared, *terms), about)
-    machine = [term for term in whole.terms if term.effect.action is Action.COMPENSATE]
-    if len(machine) == len(whole.terms):
-        return JointFit(whole, whole, tuple(terms), white, nuisance_um)
-    foreign = np.sum([t.error_um(campaign.columns) for t in terms if t.effect.action is not Action.COMPENSATE], axis=0)
-    static = linear.projection(noise, foreign, None, out).solve(free[:, :0]).table
-    table = table_of(solution.table[:w] + static[:w])
-    return JointFit(whole, Model(table, tuple(machine), about), tuple(terms), white, nuisance_um)
+    machine = tuple(term for term in whole.terms if term.effect.action is Action.COMPENSATE)
+    others = [t.error_um(campaign.columns) for t in terms if t.effect.action is not Action.COMPENSATE]
+    foreign_um = np.sum([np.zeros(n), *others], axis=0)
+
+    def keeping(unmodelled_um: Floats) -> Model:
+        if not np.any(unmodelled_um):
+            return Model(whole.table, machine, about)
+        static = linear.projection(noise, unmodelled_um, None, out).solve(free[:, :0]).table
+        return Model(table_of(solution.table[:w] + static[:w]), machine, about)
+
+    extended, bare = keeping(foreign_um + nuisance_um), keeping(foreign_um)
+    return JointFit(whole, extended, bare, tuple(terms), white, nuisance_um)
 
 
 def _terms(

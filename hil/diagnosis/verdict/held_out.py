@@ -41,7 +41,8 @@ ONCE = frozenset({"datum_step", "beam_drift"})
 class HeldOut:
     """Residuals of all rows when they were left out, each shape (n,), µm, and how the rows were left out.
 
-    before: of the declared model; after: with the machine's effects; setup: with those of instrument and set-up too
+    before: of the declared model; after: with the machine's effects; bare: the same without what the table holds of unexplained
+    structure; setup: with the effects of instrument and set-up too
     gain: by effect chosen on all rows, the reduction of squared error in each fold, shape (folds,), µm²: everything
     refitted without the fold, with and without the effect
     structure: the same of unexplained structure, where the choice without the fold finds any
@@ -52,6 +53,7 @@ class HeldOut:
 
     before: Floats
     after: Floats
+    bare: Floats
     setup: Floats
     gain: dict[str, Floats]
     structure: Floats
@@ -87,7 +89,7 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
     fold, how = folds(problem.campaign.run)
     fold_of_all = rows.folds(fold)
     y, n = rows.error_um, len(rows)
-    before, after, setup, carries = np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n)
+    before, after, bare, setup, carries = (np.zeros(n) for _ in range(5))
     gain: dict[str, list[float]] = {}
     count = int(np.max(fold)) + 1
     structure, structure_term_gain = np.zeros(count), np.zeros(count)
@@ -104,6 +106,7 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
         before[left] = y[left] - base.error_um(rows.columns)[left]  # of all rows: a sensor's lag does not begin anew
         setup[left] = y[left] - chosen.fit.whole.error_um(rows.columns)[left]
         after[left] = y[left] - chosen.fit.extended.error_um(rows.columns)[left]
+        bare[left] = y[left] - chosen.fit.bare.error_um(rows.columns)[left]
         last = chosen.last
         for found in structure_estimates(last.searcher, chosen.hits, last.choices, last.noise):
             carries[left] += found.error_um(rows.columns)[left]
@@ -113,7 +116,7 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
         kept = setup[rows.kept[out]]
         structure[index] = float(np.sum(kept**2) - np.sum((kept - chosen.fit.nuisance_um[out]) ** 2))
     by_effect = {name: np.array(values) for name, values in gain.items()}
-    return HeldOut(before, after, setup, by_effect, structure, carries, structure_term_gain, fold_of_all, how)
+    return HeldOut(before, after, bare, setup, by_effect, structure, carries, structure_term_gain, fold_of_all, how)
 
 
 def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, float]:

@@ -11,6 +11,7 @@ from dataclasses import replace
 from hil.diagnosis.result import Diagnosis, Figures
 from hil.diagnosis.search.structure_estimate import StructureEstimate
 from hil.diagnosis.verdict.held_out import HeldOut, improves_held_out
+from hil.effects.model import Model
 from hil.effects.non_parametric import CAUSE_UNKNOWN
 from hil.effects.survey import READ_AFTER_MOTION
 from hil.records.rows import Floats
@@ -29,30 +30,32 @@ def offered(
     fitted_um: Floats,
     alone: Figures,
     *,
+    bare: Model,
     formless: bool = False,
 ) -> Diagnosis:
     """The diagnosis with this correction beside it, and a note where something is unexplained.
 
     structures: the unexplained ones; fitted_um: their sum on the rows of the residual, (n,); alone: figures without any
-    correction; formless: something is left that has no smooth form which could be applied to other rows
+    correction; bare: the extended model, whose table holds nothing of the structures; formless: something is left that has no
+    smooth form which could be applied to other rows
     """
     reason = _reason(diagnosis, structures, left_out, formless=formless)
     if reason:
         notes = (f"no correction without a known cause either ({OPTION}): {reason}",) if diagnosis.unexplained else ()
         return replace(diagnosis, non_parametric=reason, notes=(*diagnosis.notes, *notes))
     terms = tuple(term for structure in structures for term in structure.terms)
-    after = Figures.of(left_out.after - left_out.structure_term_um)
+    after = Figures.of(left_out.bare - left_out.structure_term_um)
     along = "; ".join(" × ".join(structure.columns) for structure in structures)
     extended = replace(
-        diagnosis.extended,
-        terms=(*diagnosis.extended.terms, *terms),
-        about={**diagnosis.extended.about, "non_parametric": f"follows {along}; {CAUSE_UNKNOWN}"},
+        bare,
+        terms=(*bare.terms, *terms),
+        about={**bare.about, "non_parametric": f"follows {along}; {CAUSE_UNKNOWN}"},
     )
     worth = f"on runs left out it leaves {after.rms_um:.3g} µm RMS instead of {diagnosis.after.rms_um:.3g}"
     taken = replace(
         diagnosis,
         extended=extended,
-        after_um=left_out.after - left_out.structure_term_um,
+        after_um=left_out.bare - left_out.structure_term_um,
         setup_um=left_out.setup - left_out.structure_term_um,
         residual_um=diagnosis.residual_um - fitted_um,
         recommended=after.rms_um < alone.rms_um,
@@ -76,7 +79,7 @@ def _reason(diagnosis: Diagnosis, structures: Sequence[StructureEstimate], left_
     unknown = {name for structure in structures for name in structure.columns} & AFTERWARDS
     if unknown:
         return f"{' and '.join(sorted(unknown))} is not known when a command is issued"
-    before, after = Figures.of(left_out.after), Figures.of(left_out.after - left_out.structure_term_um)
+    before, after = Figures.of(left_out.after), Figures.of(left_out.bare - left_out.structure_term_um)
     if not improves_held_out(left_out.structure_term_gain) or after.rms_um >= before.rms_um:
         return f"on runs left out it does not help for sure ({after.rms_um:.3g} µm RMS, without it {before.rms_um:.3g})"
     return ""

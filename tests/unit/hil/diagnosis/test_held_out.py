@@ -131,5 +131,5 @@ def test_a_sensors_lag_does_not_begin_anew_in_the_rows_left_out() -> None:
 
 def test_the_worst_run_left_out_is_not_what_usually_remains() -> None:
     none = np.zeros(4)
-    left = HeldOut(none, none, np.array([1.0, 1.0, 9.0, 9.0]), {}, none, none, none, np.array([0, 0, 1, 1]), "")
+    left = HeldOut(none, none, none, np.array([1.0, 1.0, 9.0, 9.0]), {}, none, none, none, np.array([0, 0, 1, 1]), "")
     assert left.usual_um == pytest.approx(1.0)

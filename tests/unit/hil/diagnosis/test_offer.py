@@ -90,26 +90,35 @@ def a_diagnosis(*, unexplained: bool = True) -> tuple[Diagnosis, HeldOut]:
         None, noise, model, model, (), unexplained, carriers, (), one, one, one, one, "leave-one-run-out", True
     )
     return said, HeldOut(
-        one, one, one, {}, np.ones(4), 0.9 * one, np.array([9.0, 8.0, 9.0, 10.0]), np.arange(4), "leave-one-run-out"
+        one,
+        one,
+        one,
+        one,
+        {},
+        np.ones(4),
+        0.9 * one,
+        np.array([9.0, 8.0, 9.0, 10.0]),
+        np.arange(4),
+        "leave-one-run-out",
     )
 
 
 def test_where_everything_is_explained_there_is_none_and_no_word_of_it() -> None:
     said, left_out = a_diagnosis(unexplained=False)
-    told = offered(said, (), left_out, np.zeros(ROWS), Figures(9.0, 9.0))
+    told = offered(said, (), left_out, np.zeros(ROWS), Figures(9.0, 9.0), bare=said.extended)
     assert told.non_parametric == "nothing is left unexplained"
     assert told.notes == ()
 
 
 def test_it_is_had_where_every_condition_is_met() -> None:
     said, left_out = a_diagnosis()
-    told = offered(said, [left("coolant_l_min")], left_out, np.zeros(ROWS), Figures(9.0, 9.0))
+    told = offered(said, [left("coolant_l_min")], left_out, np.zeros(ROWS), Figures(9.0, 9.0), bare=said.extended)
     assert isinstance(told.non_parametric, Diagnosis)
     assert told.non_parametric.after.rms_um == pytest.approx(0.1)
 
 
 def refused(said: Diagnosis, structures: list[StructureEstimate], left_out: HeldOut) -> str:
-    told = offered(said, structures, left_out, np.zeros(ROWS), Figures(9.0, 9.0))
+    told = offered(said, structures, left_out, np.zeros(ROWS), Figures(9.0, 9.0), bare=said.extended)
     assert isinstance(told.non_parametric, str)
     assert told.extended == said.extended
     assert told.notes == (f"no correction without a known cause either (--non-parametric): {told.non_parametric}",)
@@ -124,7 +133,7 @@ def test_a_column_that_is_read_after_the_motion_cannot_correct_it() -> None:
 @pytest.mark.parametrize(("gain", "carried_um"), [([9.0, -8.0, 9.0, -10.0], 0.9), ([9.0, 8.0, 9.0, 10.0], -0.1)])
 def test_what_does_not_help_on_runs_left_out_is_refused(gain: list[float], carried_um: float) -> None:
     said, left_out = a_diagnosis()
-    left_out = replace(left_out, structure_term_um=carried_um * left_out.after, structure_term_gain=np.array(gain))
+    left_out = replace(left_out, structure_term_um=carried_um * left_out.bare, structure_term_gain=np.array(gain))
     assert "on runs left out it does not help" in refused(said, [left("coolant_l_min")], left_out)
 
 

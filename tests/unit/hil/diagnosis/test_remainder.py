@@ -11,7 +11,7 @@ from study.grammar.machine import draw
 from support.workshop import TRAVEL_MM, Cause, Floats, workshop
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis import diagnose
+from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import AllRows, prepare
 from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
@@ -370,6 +370,29 @@ def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_cour
 def test_what_carries_the_rest_is_said_in_one_line() -> None:
     carrier = Carrier(("temp_bed_c", "target_mm"), Estimate(1.25, 0.1), 1e-6, {"temp_bed_c": ("air_temp_c", "time_s")})
     assert str(carrier) == "temp_bed_c (or equivalent: air_temp_c, time_s) × target_mm, 1.25 ± 0.2 µm RMS", "± is k = 2"
+
+
+@pytest.mark.parametrize("cause", [wave_by_load, moving_only])
+def test_where_no_cause_has_a_name_the_extended_model_is_no_worse_than_a_table_of_the_rows(cause: Cause) -> None:
+    """What is left is not in the model, but its mean over the rows belongs into the table, as it repeats."""
+    records, _ = workshop(7, cause, ratio=3.0, noise_um=NOISE_UM)
+    fresh, _ = workshop(8, cause, ratio=3.0, noise_um=NOISE_UM)
+    said = diagnose(records)
+    assert said.unexplained
+    assert not said.findings
+    table = fit_model(records)
+    for rows in (records, Records.of({**fresh.columns, "measured_mm": same_table(fresh, 8, 7)})):
+        left_um, alone_um = (
+            np.sqrt(np.mean((rows.uncorrected_error_um - model.error_um(rows.columns)) ** 2))
+            for model in (said.extended, table)
+        )
+        assert left_um < 1.03 * alone_um
+
+
+def same_table(records: Records, seed: int, other: int) -> Floats:
+    """What a campaign would have measured with the smooth error of another seed's, mm (`workshop`)."""
+    x = 2.0 * records.columns["target_mm"] / TRAVEL_MM
+    return records.columns["measured_mm"] + 6e-3 * (np.sin(x + other) - np.sin(x + seed))
 
 
 def test_the_mean_of_a_backlash_that_varies_comes_after_it() -> None:
