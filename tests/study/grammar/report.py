@@ -62,6 +62,9 @@ def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         found["held by the table: named first or silent"] = share([one["named_first"] or one["silent"] for one in held])
     found[f"a wrong name above {CONFIDENT}"] = share([bool(one["confident_wrong"]) for one in good])
     found["unexplained"] = share([one["said"]["unexplained"] for one in good])
+    found["fresh RMS / that of the table of `hil fit` alone"] = quantiles(
+        [one["fresh_um"] / one["table_um"] for one in free]
+    )
     if not lot.startswith("outside") and lot != "missing":
         found["fresh RMS / true model's"] = quantiles([one["fresh_um"] / one["fresh_true_um"] for one in free])
         found["true forms with fitted amplitudes, the same"] = quantiles(

@@ -51,6 +51,7 @@ def test_what_scales_nothing_is_refused(values: tuple[object, ...], said: str) -
     with pytest.raises(InputError, match=said):
         AxisScaling(*values)  # type: ignore[arg-type]
     assert AxisScaling(1, 5.0).counts_per_load_mm == 0.2  # a count per turn is still a count
+    assert AxisScaling(1, 5.0, Fraction(1), -1).motor_counts(25.0) == -5
 
 
 def test_what_a_drive_says_of_itself() -> None:
@@ -88,6 +89,7 @@ SLOW_GEAR = AxisScaling(4096, 10.0, Fraction(5), direction=-1)  # 10 mm/s are fi
         (DIRECT, "um/s", 10_000),
         (DIRECT, "mm/min", 600),
         (DIRECT, "1/1000 m/s", 10),
+        (DIRECT, "1/10000000 m/s", 100_000),
         (DIRECT, "counts/ms", 4),  # 4.096
         (DIRECT, "1/65536 counts/ms", 268_435),  # 4.096 · 65536 = 268 435.456
         (SLOW_GEAR, "rpm", 300),
@@ -122,7 +124,8 @@ def test_velocities_in_every_unit(scaling: AxisScaling, unit: str, units_of_10_m
 def test_accelerations_in_every_unit(scaling: AxisScaling, unit: str, units_of_100_mm_s2: int) -> None:
     usual = MotionScaling.in_counts(scaling)
     units = MotionScaling(scaling, usual.velocity, motion_unit(unit, scaling, 2))
-    assert units.acceleration_units(100.0) == units_of_100_mm_s2
+    assert units.acceleration_units(100.0) == units.acceleration_units(-100.0) == units_of_100_mm_s2
+    assert units.acceleration_units(1e-9) == 1
     assert units.mm_s2(units_of_100_mm_s2) == pytest.approx(100.0, rel=1e-3)
 
 

@@ -24,6 +24,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InputError
+from drivers.files import replace_file
 from hil.correction.sealed import (
     Cost,
     CostError,
@@ -865,5 +866,5 @@ def test_the_order_of_replacing_is_flush_rename_flush(tmp_path: Path, monkeypatc
 
     monkeypatch.setattr(files.os, "fsync", spy_fsync)
     monkeypatch.setattr(files.os, "replace", spy_replace)
-    files.replace_file(tmp_path / "x", b"1")
+    replace_file(tmp_path / "x", b"1")
     assert steps == ["flush file", "rename", "flush directory"]
