@@ -8,7 +8,14 @@ from scipy import stats
 
 from drivers.errors import InputError
 from hil.figures.iso230 import iso230
-from hil.figures.uncertainty import Conformity, UncertaintyInputs, budget, conformity, farthest_from_reference_c
+from hil.figures.uncertainty import (
+    Conformity,
+    UncertaintyInputs,
+    budget,
+    budget_um,
+    conformity,
+    farthest_from_reference_c,
+)
 from hil.records.rows import Records
 
 TARGETS = np.array([0.0, 103.0, 199.0, 310.0, 402.0, 500.0])
@@ -89,6 +96,8 @@ def test_misalignment_over_another_length() -> None:
 
 def test_without_inputs_nothing_is_uncertain_and_steel_is_assumed() -> None:
     assert set(budget(UncertaintyInputs(), iso230(FLAT), FLAT).figures_um.values()) == {0.0}
+    assert budget_um(None, iso230(FLAT), FLAT) == {}
+    assert set(budget_um(UncertaintyInputs(), iso230(FLAT), FLAT).values()) == {0.0}
     thermometer = UncertaintyInputs(temperature_range_c=1.0)
     parts = {one.name: one.expanded_um for one in budget(thermometer, iso230(FLAT), FLAT).contributions}
     assert parts["temperature"] == pytest.approx(11.7 * 0.5 / 3**0.5)  # 11.7 µm/(m °C), steel as ISO/TR 230-9 has it
