@@ -546,7 +546,7 @@ def test_the_time_that_a_lag_reads_is_no_column_of_the_effect() -> None:
     assert is_refuted_by(finding_of("thermal_drift", "time_s"), carrier), "a course of the time itself"
 
 
-def test_a_jump_beside_a_course_that_wanders_is_unsure() -> None:
+def test_a_jump_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None:
     records, _ = workshop(31, noise_um=NOISE_UM)
     campaign = prepare(records)
     form = Form("datum_step", "step", ("time_s",))
@@ -559,6 +559,8 @@ def test_a_jump_beside_a_course_that_wanders_is_unsure() -> None:
     wandering = replace(wandering, term=replace(wandering.term, form=replace(form, effect="beam_drift", shrunk=True)))
     assert not is_unsure(step, [step], campaign)
     assert is_unsure(step, [step, wandering], campaign)
+    back = replace(step.term, coefficients=tuple(-value for value in step.term.coefficients))
+    assert is_unsure(replace(step, more=(back,)), [step], campaign)
     assert is_unsure(wandering, [wandering], campaign)
 
 
