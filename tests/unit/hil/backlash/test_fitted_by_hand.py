@@ -5,6 +5,7 @@ A 6077h reading is rounded to 0.1 %: variance 0.01/12 = 8.33333e-4, called r bel
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -13,7 +14,7 @@ import pytest
 
 from hil.backlash.fitted import FittedWindUp, _explains_more, _fit, _Polynomial, fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion, mean_um, reversal_json
-from hil.backlash.trace import ReversalTrace, crept_trace
+from hil.backlash.trace import ReversalTrace, crept_trace, read_trace
 
 R = 8.33333e-4
 LOST_UM = 40.0
@@ -324,3 +325,19 @@ def test_a_creep_is_averaged_over_each_step_of_motion() -> None:
     assert (trace.creep_um_s, trace.weight_percent) == (20.0, 0.5)
     stood = crept_trace(1, np.full(5, 3.0), np.zeros(5), step_um=1.0, creep_um_s=20.0)
     assert len(stood.position_load_mm) == 1
+
+
+def test_a_creep_is_averaged_over_every_step_but_the_last() -> None:
+    """A reading each 0.5 µm from 0 to 20 µm: 20 whole steps of 1 µm, the first without the reading at rest."""
+    places = np.arange(0.0, 20.25, 0.5) / 1000.0
+    trace = crept_trace(1, places, np.arange(41.0), step_um=1.0, creep_um_s=20.0)
+    assert trace.travel_um.tolist() == pytest.approx([0.0, 0.5, *(number + 0.25 for number in range(1, 20))])
+    assert trace.torque_percent[-1, 0] == 38.5
+
+
+@pytest.mark.parametrize("slides", [(), (7.9, 8.1)])
+def test_a_trace_read_again_is_the_one_written(slides: tuple[float, ...]) -> None:
+    trace = made(slides=slides)
+    again = read_trace(json.loads(json.dumps(trace.to_json())))
+    assert again.slides_percent.tolist() == [[one] for one in slides]
+    assert again.position_load_mm.tolist() == trace.position_load_mm.tolist()
