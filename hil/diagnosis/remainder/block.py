@@ -148,27 +148,15 @@ def block(null: Null, columns: tuple[str, ...], design: Floats, *, surely: bool 
 
 def outside_table(null: Null, found: Block) -> Floats:
     """A block as few random columns of unit variance ratio, (n, r), without what the table can hold: that stays the table's."""
-    rest = beside_table(null, found.scaled)
-    values, vectors = np.linalg.eigh(rest.T @ rest)
-    kept = values > SMALL
-    return np.asarray(rest @ vectors[:, kept])
-
-
-def beside_table(null: Null, design: Floats) -> Floats:
-    """What the table cannot hold of some columns, (n, r)."""
     table = null.linear.table
     width = table.table_width
     columns = table.stacked[:, :width] * null.scale[:, None]
     normal = columns.T @ columns + np.diag(table.ridge(null.noise)[:width]) + 1e-9 * np.eye(width)
-    return np.asarray(design - columns @ np.linalg.solve(normal, columns.T @ design))
-
-
-def course(null: Null, found: Block) -> Floats:
-    """What a block was found to be, (n, 1), µm: the mean of its function given the rows."""
-    w = null.best.prepared(found.scaled / null.scale[:, None])
-    shadow = null.best.shadow(w)
-    normal = w.T @ w - shadow.T @ shadow + np.eye(w.shape[1])
-    return np.asarray(found.scaled @ np.linalg.solve(normal, w.T @ null.best.rest)[:, None])
+    design = found.scaled
+    rest = design - columns @ np.linalg.solve(normal, columns.T @ design)
+    values, vectors = np.linalg.eigh(rest.T @ rest)
+    kept = values > SMALL
+    return np.asarray(rest @ vectors[:, kept])
 
 
 def fitted(linear: LinearCampaign, y: Floats, beside: Extra, noise: Noise, parts: Sequence[Floats]) -> list[Fitted]:

@@ -34,8 +34,6 @@ PLAYS = (0.1, 0.2, 0.3)
 """Half widths of a play, over the range of the column."""
 RELAYS = ((0.25, 0.6), (0.33, 0.67), (0.4, 0.75))
 """Values of the column, over its range, below which a relay falls and above which it rises."""
-RESOLVED = 0.05
-"""Size of a direction of a block, over its largest, from which it counts for what the block may hold: smaller ones hold any noise."""
 SLOW = 0.1
 """Mean square of the steps from row to row over the variance, up to which a column is slow: 2 for values that are drawn anew."""
 
@@ -159,33 +157,23 @@ def relay(u: Floats, low: float, high: float) -> Floats:
 def _equivalent(
     null: Null, named: dict[str, Variable], top: Block, trials: Sequence[Block], d: Floats | None
 ) -> dict[str, tuple[str, ...]]:
-    """By column, other columns in whose place the evidence is nearly as high, those of which it is a smooth function, and those of
-    which what was found is a function: which form a cause has is not known, so that more evidence for one of these proves little.
+    """By column, other columns in whose place the evidence is nearly as high, those of which it is a smooth function, and slow ones
+    that keep most of a slow one's evidence: the cause may act late, and in what form is not known.
     """
-    tried = {one.columns: one for one in sorted(trials, key=lambda one: one.evidence)}
-    found = blocks.beside_table(null, blocks.course(null, top))
+    tried = {one.columns: one.evidence for one in sorted(trials, key=lambda one: one.evidence)}
     out: dict[str, tuple[str, ...]] = {}
     for name in [one for one in top.columns if one in named]:
         alike = set(_same_course(named[name], named.values()))
         for other in [one for one in named if one not in top.columns and one not in alike]:
             names = _in_place(top.columns, name, other)
             if names not in tried:
-                tried[names] = _trial(null, named, names, d)
-            trial = tried[names]
-            if trial.evidence > top.evidence - policy().as_well or (
-                "target_mm" not in (name, other)
-                and _held(found, blocks.beside_table(null, trial.design)) > policy().one_function
-            ):
+                tried[names] = _trial(null, named, names, d).evidence
+            late = is_slow(named[name]) and is_slow(named[other]) and tried[names] > policy().slow_alike * top.evidence
+            if late or tried[names] > top.evidence - policy().as_well:
                 alike.add(other)
         if alike:
             out[name] = tuple(sorted(alike))
     return out
-
-
-def _held(values: Floats, design: Floats) -> float:
-    """Share of the squares of values (n, 1) that columns (n, r) hold, but in directions in which these hardly vary."""
-    u, size, _ = np.linalg.svd(design, full_matrices=False)
-    return float(np.sum((u[:, size > RESOLVED * size[0]].T @ values) ** 2) / np.sum(values**2))
 
 
 def _same_course(mine: Variable, columns: Iterable[Variable]) -> Iterator[str]:

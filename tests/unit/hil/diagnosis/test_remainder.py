@@ -205,7 +205,7 @@ def test_a_slow_column_is_named_by_what_it_was_before_too_and_beside_fine_waves(
     assert "load_kg" not in {*first.columns, *(name for alike in first.equivalent.values() for name in alike)}
 
 
-def test_a_column_of_which_what_was_found_is_a_function_too_is_named_beside() -> None:
+def test_a_slow_column_that_another_may_stand_for_is_named_beside() -> None:
     """The nut follows the bed 0.4 rad behind: no function of it holds the bed to nine tenths, but what steps with the one nearly does
     with the other; with no other column."""
 
