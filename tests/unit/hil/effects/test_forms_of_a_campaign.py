@@ -15,7 +15,7 @@ from hil.effects import ALL, Action, Estimate, Form, NonLinear, Survey, Term, su
 from hil.effects.air import air_inputs
 from hil.effects.cyclic import period_grid
 from hil.effects.history import complete, reversals, row_order, stand_ins, time_column
-from hil.effects.survey import varies
+from hil.effects.survey import follows_way, varies
 
 EFFECTS = {effect.id: effect for effect in ALL}
 EVERY_COLUMN = {
@@ -212,6 +212,8 @@ def test_a_knee_about_the_usual_feed() -> None:
     knee = forms("velocity_lag")["saturating", "velocity_mm_s"]
     assert bounds(knee.nonlinear[0]) == (4.0, 1200.0, True)
     assert knee.starts == ((12.0,), (40.0,), (120.0,))
+    back_faster = campaign(ranges={"velocity_mm_s": (-60.0, 20.0)})
+    assert forms("velocity_lag", back_faster)["saturating", "velocity_mm_s"].constants == {"fastest_mm_s": 60.0}
     at_rest = forms("velocity_lag", campaign(mean=EVERY_COLUMN | {"velocity_mm_s": 0.0}))
     assert at_rest["saturating", "velocity_mm_s"].nonlinear[0].lower == pytest.approx(1e-4)
 
@@ -262,6 +264,8 @@ def test_zones_of_wear_take_at_most_a_quarter_of_the_travel() -> None:
     assert sorted(c for c, w in bump.starts if w == widths[-1])[:2] == pytest.approx([100.0, 112.5])
     sparse = forms("local_wear", campaign(spacing_mm=80.0))["bump", "target_mm"]
     assert min(w for _, w in sparse.starts) == pytest.approx(6.25)  # a sixteenth of the half span
+    dense = forms("local_wear", campaign(spacing_mm=8.0))["bump", "target_mm"]  # half the spacing, and half of that
+    assert (min(w for _, w in dense.starts), dense.nonlinear[1].lower) == pytest.approx((4.0, 2.0))
     wear = EFFECTS["local_wear"]
     assert [wear.is_exceeded(bump, (150.0, w)) for w in (6.0, 11.0, 12.5)] == [False, False, True]
     assert bump.log_odds == pytest.approx(-math.log(24.0))  # as many places as usual widths fit into the travel
@@ -308,10 +312,50 @@ def test_what_an_effect_is_called_in_the_model_file_and_what_follows_from_it() -
         "pitch_shape",
     }
     assert {e.id for e in ALL if e.is_table} == {"pitch_shape"}
+    assert {e.id for e in ALL if e.slow} == {"air_index", "dead_path", "thermal_drift", "thermal_expansion"}
+    assert {e.id for e in ALL if e.several} == {"cyclic", "datum_step", "local_wear"}
+    assert {e.id: e.mean_of for e in ALL if e.mean_of} == {"backlash": "backlash_position"}
     assert {e.id for e in ALL if e.action is Action.FIX_SETUP} == {"air_index", "beam_drift", "cosine", "dead_path"}
     assert {e.id for e in ALL if e.action is Action.RE_MEASURE} == {"datum_step"}
     assert {e.id: e.log_odds for e in ALL if e.log_odds} == {"cosine": 0.5}
     assert {e.id: e.least_over_noise for e in ALL if e.least_over_noise} == {"beam_drift": 0.7}
+
+
+STRAIGHT = {"temperature", "lagged temperature", "warming since the start", "warming since the start through two lags"}
+STRAIGHT_FORMS = {
+    "abbe": {"tilt", "arm changing along the travel"},
+    "air_index": {"air index"},
+    "backlash": {"constant"},
+    "backlash_position": {"linear"},
+    "beam_drift": {"random walk", "flicker"},
+    "cosine": {"scale"},
+    "cross_axis": {"shift", "growing along the travel", "curved", "shift and growth"},
+    "cyclic": set(),
+    "datum_step": {"step"},
+    "dead_path": {"air index"},
+    "load_deflection": {
+        "offset",
+        "with direction",
+        "with position",
+        "with direction and position",
+        "offset and with direction and position",
+        "curved",
+        "curved with direction",
+    },
+    "local_wear": set(),
+    "lost_motion": {"exponential", "tanh", "two lengths"},
+    "pitch_shape": set(),  # a lead error is held beyond the travel
+    "thermal_drift": STRAIGHT,
+    "thermal_expansion": STRAIGHT | {f"{name}, about a fixed point" for name in STRAIGHT},
+    "velocity_lag": {"proportional", "with square", "saturating"},
+}
+"""Forms whose error is a straight line over the place at any one moment: a stream asks for two places instead of all."""
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_which_forms_are_straight_along_the_axis(effect: str) -> None:
+    found = EFFECTS[effect].forms(campaign())
+    assert {form.name for form in found if EFFECTS[effect].is_straight(form)} == STRAIGHT_FORMS[effect]
 
 
 def test_odds_of_a_value_beforehand() -> None:
@@ -325,6 +369,7 @@ def test_odds_of_a_value_beforehand() -> None:
     plain = Form("backlash", "constant", ("direction",))
     assert (plain.scan, plain.exhaustive, plain.shrunk, plain.starts) == (True, False, False, ((),))
     assert not EFFECTS["lost_motion"].is_local(plain, (), campaign())
+    assert not EFFECTS["lost_motion"].is_exceeded(plain, ())
     assert EFFECTS["backlash"].implausible(Term(EFFECTS["backlash"], plain, (), (9e9,), ((1.0,),))) is None
 
 
@@ -349,6 +394,9 @@ def test_facts_of_a_campaign_by_hand() -> None:
     assert found.mean["load_kg"] == 50.0
     assert found.mean["temp_head_c"] == 22.5
     assert "temp_screw_c" not in found.mean
+    assert found.ranges["temp_head_c"] == (20.0, 25.0)
+    assert found.ranges["target_mm"] == (10.0, 60.0)
+    assert "temp_screw_c" not in found.ranges
     assert found.temperatures == ("temp_head_c",)
     assert found.other_axes == ("pos_y_mm",)
     assert found.pitches_mm == (10.0,)
@@ -382,6 +430,55 @@ def test_what_varies() -> None:
     assert varies(np.array([1e6, 1e6 + 2e-3]))
     assert not varies(np.array([-1e6, -1e6 + 0.5e-3]))
     assert not varies(np.array([1.0, math.nan]))
+
+
+def ways() -> dict[str, np.ndarray]:
+    """26 ways to a target, each gone twice: half of them up, half down, with 0 to 100 mm since the reversal."""
+    each = np.arange(26)
+    once = {
+        "run": np.ones(26),
+        "direction": np.where(each % 2 == 0, 1.0, -1.0),
+        "target_mm": (7.0 * each) % 26 * 10.0,
+        "since_reversal_mm": np.r_[0.0, np.geomspace(0.01, 100.0, 25)][(11 * each) % 26],
+        "stroke_mm": np.full(26, 300.0),
+        "row_order": 1.0 * each,
+    }
+    return {name: np.tile(values, 2) for name, values in once.items()}
+
+
+NOISE = np.repeat([1.0, -1.0], 26)
+"""Opposite in the two times of each way, so that no function of the way holds any of it."""
+
+
+@pytest.mark.parametrize(("noise", "follows"), [(0.0, True), (0.43, True), (0.44, False), (5.0, False)])
+def test_a_reading_follows_the_way_up_to_a_hundredth_of_its_variance(noise: float, follows: bool) -> None:
+    """20 ± 5 with the direction has the variance 25 + e²; of 52 rows and 13 coefficients 52/39·e² is left.
+
+    4/3·0.43² = 0.2465 is below 0.2518, a hundredth of 25.185; 4/3·0.44² = 0.2581 is above 0.2519. A load is a cause all the same.
+    """
+    columns = ways()
+    torque = 20.0 + 5.0 * columns["direction"] + noise * NOISE
+    assert follows_way(torque, columns) is follows
+    found = survey_of(columns | {"torque_percent": torque, "motor_mm": torque, "load_kg": torque}).varying
+    assert ("torque_percent" in found, "motor_mm" in found, "load_kg" in found) == (not follows, not follows, True)
+
+
+def test_the_way_is_target_and_travel_since_the_reversal_in_each_direction() -> None:
+    """2 + 0.03 x + (1 + 2 d) ln s, s at least 1 µm: straight over the logarithm, so five pieces hold it. With x² it is none."""
+    columns = ways()
+    x, d, s = (columns[name] for name in ("target_mm", "direction", "since_reversal_mm"))
+    since = np.log(np.maximum(s, 0.001))
+    assert follows_way(2.0 + 0.03 * x + (1.0 + 2.0 * d) * since, columns)
+    assert follows_way((1.0 + 2.0 * d) * since, columns)
+    assert not follows_way((x - 125.0) ** 2, columns)
+
+
+def test_as_many_coefficients_as_rows_follow_nothing() -> None:
+    """One of the target and six nodes of the travel, twice: thirteen rows would be met exactly, whatever they hold."""
+    columns = {name: values[:13] for name, values in ways().items()}
+    assert not follows_way(20.0 + 5.0 * columns["direction"], columns)
+    columns = {name: values[:7] for name, values in ways().items()}
+    assert not follows_way(20.0 + 5.0 * columns["direction"], columns)
 
 
 def test_in_a_long_campaign_moments_are_thinned_but_no_boundary_of_runs_is_lost() -> None:

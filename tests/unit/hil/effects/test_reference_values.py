@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
@@ -21,6 +22,7 @@ from hil.effects.history import BRANCH, lagged, with_branches
 EFFECTS = {effect.id: effect for effect in ALL}
 TRAVEL = {"centre_mm": 200.0, "half_span_mm": 100.0}
 """u = (x - 200) / 100."""
+UNEVEN = "warming since the start, unlike along the travel"
 
 
 def basis(
@@ -141,6 +143,9 @@ def test_cosine_error_of_one_milliradian_is_half_a_ppm() -> None:
     assert values(long.parameters) == {"scale_ppm": (-0.5, 0.01), "most_angle_urad": (0.0, 0.0)}
     doubtful = term("cosine", "scale", ["target_mm"], [0.3], stds=[0.1 + 1e-9])
     assert values(doubtful.parameters)["angle_urad"] == pytest.approx((774.597, 129.099), rel=1e-5)
+    for std, known in ((0.145, True), (0.155, False)):  # a scale of two standard deviations or more has an angle
+        edge = term("cosine", "scale", ["target_mm"], [0.3], stds=[std])
+        assert ("angle_urad" in edge.parameters) is known
     small = term("cosine", "scale", ["target_mm"], [0.1], stds=[0.2])  # θ² = 2·(0.1 + 2·0.2) ppm at most
     assert values(small.parameters) == {"scale_ppm": (0.1, 0.2), "most_angle_urad": (1000.0, 0.0)}
     assert "at most 1e+03 µrad" in small.effect.explain(small)
@@ -175,6 +180,29 @@ def test_backlash_along_the_travel() -> None:
     assert values(bowed.parameters) == {"change_um": (6.0, 0.4), "bow_um": (-2.0, 0.4)}
     assert "changes by 6 ± 0.8 µm" in bowed.effect.explain(bowed)
     assert "bowed by -2 ± 0.8 µm" in bowed.effect.explain(bowed)
+
+
+def test_backlash_along_the_travel_in_a_shape_of_its_own() -> None:
+    """d·P_k(u), k from 1; beyond the travel u is held at 1.1; from end to end the odd orders change by 2, both ways: 4·(1 + 3 + 5)."""
+    known = [0.5, -0.125, -0.4375, -0.2890625, 0.08984375, 0.3232421875]  # of u = 0.5
+    columns = {"target_mm": [250.0, 250.0, 900.0, -900.0], "direction": [1.0, -1.0, 1.0, 1.0]}
+    rows = basis("backlash_position", "shape", columns, constants=TRAVEL)
+    assert rows[:2] == [pytest.approx(known), pytest.approx([-p for p in known])]
+    assert [row[:2] for row in rows[2:]] == [
+        pytest.approx([1.1, 1.315]),
+        pytest.approx([-1.1, 1.315]),
+    ]  # (3·1.21 - 1)/2
+    fine = basis("backlash_position", "fine shape", columns, constants=TRAVEL)
+    assert fine[0][:6] == pytest.approx(known)
+    assert len(fine[0]) == 12
+    found = term("backlash_position", "shape", list(columns), [1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
+    unsure = round(4.0 * math.sqrt(0.1**2 + 0.3**2 + 0.5**2), 9)
+    assert values(found.parameters) == {"change_um": (36.0, unsure)}
+    assert "changes by 36 ± 4.7 µm" in found.effect.explain(found)
+    broken = replace(
+        found, covariance=tuple(map(tuple, (-np.eye(6)).tolist()))
+    )  # a variance that rounding made negative
+    assert broken.parameters["change_um"] == Estimate(36.0, 0.0)
 
 
 def test_lost_motion_fades_with_the_travel_since_the_reversal() -> None:
@@ -273,6 +301,40 @@ def test_the_way_between_two_rows_that_do_not_join_is_taken_for_a_long_stroke() 
     assert strokes == [[10.0, 1e6, 1e6, 1e6], [5.0, 10.0, 30.0, 1e6], [3.0, 10.0, 30.0, 1e6], [4.0, 6.0, 1e6, 1e6]]
 
 
+UP = (100.0, 1.0, 100.0, 1e6)
+"""From 0 to 100 mm, after a long stroke: place, direction, travel since the reversal, stroke before it."""
+NESTED = [UP, (20.0, -1.0, 80.0, 100.0), (40.0, 1.0, 20.0, 80.0)]
+"""Back to 20, up to 40: three reversals that are remembered, at 0, 100 and 20 mm."""
+
+
+@pytest.mark.parametrize(
+    ("rows", "strokes"),
+    [
+        (NESTED, [20.0, 80.0, 100.0, 1e6]),
+        # back to 30 and up to 45: past 40, where the loop of 10 mm closes; the row once more changes nothing
+        ([*NESTED, (30.0, -1.0, 10.0, 20.0), (45.0, 1.0, 15.0, 10.0)], [25.0, 80.0, 100.0, 1e6]),
+        ([*NESTED, (30.0, -1.0, 10.0, 20.0), *[(45.0, 1.0, 15.0, 10.0)] * 2], [25.0, 80.0, 100.0, 1e6]),
+        # from 40, where it stood, back to 30 and up to 35 without a row between
+        ([*NESTED, (35.0, 1.0, 5.0, 10.0)], [5.0, 10.0, 20.0, 80.0]),
+        # back from 100 like the second row, but after a stroke from -30: not the one before, so nothing else is known
+        ([UP, (20.0, -1.0, 80.0, 130.0), (40.0, 1.0, 20.0, 80.0)], [20.0, 80.0, 130.0, 1e6]),
+        # past 70, where that stroke of 30 began: nothing is remembered any more
+        ([(100.0, 1.0, 50.0, 1e6), (20.0, -1.0, 80.0, 30.0)], [1e6] * 4),
+    ],
+)
+def test_reversals_that_are_remembered_from_row_to_row(
+    rows: list[tuple[float, float, float, float]], strokes: list[float]
+) -> None:
+    names = ("target_mm", "direction", "since_reversal_mm", "stroke_mm")
+    given = dict(zip(names, np.array(rows).T, strict=True))
+    found = with_branches(given)
+    assert [float(found[name][-1]) for name in BRANCH] == strokes
+    one = with_branches({**given, BRANCH[0]: np.zeros(len(rows))})  # one alone is not enough: all four are made up
+    assert [float(one[name][-1]) for name in BRANCH] == strokes
+    stored = {name: np.full(len(rows), 7.0) for name in BRANCH}
+    assert with_branches(stored) == stored
+
+
 def test_a_lost_motion_is_stated_where_rows_saw_it() -> None:
     """Rows from 3 mm after the reversal on see e^-1 of it: 5 µm there are 1.839, with dL/L = 0.1 another 0.1·e^-1·5 of uncertainty."""
     far = term(
@@ -328,6 +390,21 @@ def test_a_lag_that_only_fast_rows_show_is_stated_there() -> None:
     assert set(found.parameters) == {"error_at_fastest_um", "least_knee_mm_s", "most_knee_mm_s"}
     assert found.parameters["error_at_fastest_um"].value == pytest.approx(98.765, abs=1e-3)
     assert "do not determine" in found.effect.explain(found)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_an_amount_known_to_half_of_it_is_stated_whatever_its_sign(sign: float) -> None:
+    """5 ± 2.4 is known to less than a half, 5 ± 2.6 is not: then the value is that of 0.3 mm and of 40 mm/s, which the rows hold."""
+    for std, known in ((2.4, True), (2.6, False)):
+        given = ["since_reversal_mm", "direction"]
+        seen = {"shortest_mm": 0.3}
+        lost = term("lost_motion", "exponential", given, [5.0 * sign], (3.0,), stds=[std, 0.1], constants=seen)
+        assert ("amount_um" in lost.parameters) is known
+        given, seen = ["velocity_mm_s", "direction"], {"fastest_mm_s": 40.0}
+        lag = term("velocity_lag", "saturating", given, [5.0 * sign], (40.0,), stds=[std, 0.1], constants=seen)
+        assert ("lag_ms" in lag.parameters) is known
+        assert ("a lag in ms" in lag.effect.explain(lag)) is known
+        assert ("to 100 ±" in lag.effect.explain(lag)) is (not known and sign > 0)  # 5·40 / (1 + 40/40)
 
 
 def test_velocity_lag_takes_its_sign_from_the_direction_alone() -> None:
@@ -466,6 +543,82 @@ def test_thermal_expansion_of_a_steel_screw() -> None:
     assert "a lag of 600 ± 0.4 s" in lag.effect.explain(lag)
 
 
+ABOUT_A_POINT = "temperature, about a fixed point"
+WARM = ["temp_screw_c", "target_mm"]
+
+
+def test_growth_about_a_fixed_point() -> None:
+    """12.5 ppm/K and -3 µm/K: zero at 3 / 0.0125 = 240 mm. d/da = -240 / 12.5 = -19.2, d/db = -1 / 0.0125 = -80.
+
+    With σ² 0.04 and 0.01, covariance -0.015: 19.2²·0.04 + 2·19.2·80·(-0.015) + 80²·0.01 = 14.7456 - 46.08 + 64 = 32.6656 mm².
+    """
+    about = term("thermal_expansion", ABOUT_A_POINT, WARM, [12.5, -3.0], constants=TRAVEL)
+    about = replace(about, covariance=((0.04, -0.015), (-0.015, 0.01)))
+    columns = {"temp_screw_c": np.array([30.0, 30.0]), "target_mm": np.array([240.0, 340.0])}
+    assert about.error_um(columns) == pytest.approx([0.0, 12.5])  # 12.5 ppm/K · 100 mm · 10 K
+    unsure = round(math.sqrt(32.6656), 9)
+    assert values(about.parameters) == {"coefficient_ppm_per_k": (12.5, 0.2), "fixed_point_mm": (240.0, unsure)}
+    assert "grows with position about a fixed point at 240 ± 11 mm and" in about.effect.explain(about)
+    back = replace(about, coefficients=(-12.5, 3.0))  # the same point, of an axis that shrinks
+    assert values(back.parameters)["fixed_point_mm"] == (240.0, unsure)
+    broken = replace(about, covariance=((0.04, 0.0), (0.0, -1.0)))  # a variance that rounding made negative
+    assert broken.parameters["fixed_point_mm"] == Estimate(240.0, 0.0)
+    # both masses: the coefficients of the rise stand behind those of the growth, so the third is the offset
+    form, rows = "warming since the start through two lags, about a fixed point", {"first_row": 0.0, "last_row": 6000.0}
+    slow = term(
+        "thermal_expansion", form, ["time_s", "target_mm"], [200.0, 9.0, -30.0, 7.0], (600.0,), constants=TRAVEL | rows
+    )
+    # 30 / 0.2 = 150 mm; d/db = 5, d/da = 150 / 200: √((5·0.3)² + (0.75·0.1)²)
+    point = (150.0, round(math.hypot(1.5, 0.075), 9))
+    assert values(slow.parameters) == {
+        "expansion_ppm": (200.0, 0.1),
+        "time_constant_s": (600.0, 0.5),
+        "fixed_point_mm": point,
+    }
+    assert "since the start about a fixed point at 150 ± 3 mm, by" in slow.effect.explain(slow)
+
+
+def test_a_fixed_point_is_stated_where_the_growth_is_three_standard_deviations_from_none() -> None:
+    """Of 12.5 ppm/K a third is 4.17."""
+    for std, known in ((4.1, True), (4.3, False)):
+        found = term("thermal_expansion", ABOUT_A_POINT, WARM, [12.5, -3.0], stds=[std, 0.1], constants=TRAVEL)
+        assert ("fixed_point_mm" in found.parameters) is known
+        assert ("about a fixed point at 240 ±" in found.effect.explain(found)) is known
+        assert ("about a point that these records do not determine and" in found.effect.explain(found)) is not known
+    zero = term("thermal_expansion", "temperature", WARM, [12.5], constants=TRAVEL)
+    assert set(zero.parameters) == {"coefficient_ppm_per_k"}
+    assert "about" not in zero.effect.explain(zero)
+
+
+@pytest.mark.parametrize(
+    ("point_mm", "said"),
+    [
+        (499.0, None),
+        (501.0, "a fixed point at 501 mm lies more than a travel outside"),
+        (-99.0, None),
+        (-101.0, "a fixed point at -101 mm lies more than a travel outside"),
+    ],
+)
+def test_no_machine_holds_its_screw_farther_than_a_travel_away(point_mm: float, said: str | None) -> None:
+    """The travel is 100 to 300 mm, so one more is -100 to 500; at 12.5 ppm/K the point is where -0.0125 µm/K per mm puts it."""
+    found = term("thermal_expansion", ABOUT_A_POINT, WARM, [12.5, -0.0125 * point_mm], constants=TRAVEL)
+    why = found.effect.implausible(found)
+    assert why is None if said is None else str(why).startswith(said)
+    since_start = "warming since the start, about a fixed point"
+    ends = term("thermal_expansion", since_start, ["time_s", "target_mm"], [200.0, -0.2 * point_mm], (600.0,))
+    ends = replace(ends, form=replace(ends.form, constants=TRAVEL))
+    why = ends.effect.implausible(ends)  # 200 ppm in all, not per kelvin
+    assert why is None if said is None else str(why).startswith(said)
+
+
+def test_growth_that_no_material_has_says_which_way_it_is_wrong() -> None:
+    for ppm, said in ((-0.5, "moves the axis back"), (0.5, "outside the 2 to 35 ppm/K"), (36.0, "outside the 2 to 35")):
+        found = term("thermal_expansion", "temperature", WARM, [ppm])
+        assert said in str(found.effect.implausible(found))
+    none = term("thermal_expansion", ABOUT_A_POINT, WARM, [0.0, 1.0], constants=TRAVEL)  # a point at infinity
+    assert str(none.effect.implausible(none)).startswith("0 ppm/K lies outside")
+
+
 def test_warming_since_the_start() -> None:
     """1 - e^(-t/τ): 0.63212 at one time constant, and x·e^-x for the second mass; 20 ppm of 500 mm in the end are 10 µm."""
     columns = {"time_s": [0.0, 600.0, 1200.0], "target_mm": [500.0, 500.0, 500.0]}
@@ -503,6 +656,39 @@ def test_what_rows_show_of_a_slow_warming_counts_both_masses() -> None:
     assert known.parameters["drift_over_the_rows_um"].std == pytest.approx(300.0 * 3.9299 / 3000.0, rel=1e-4)
 
 
+def test_what_rows_show_of_a_warming_is_between_the_first_and_the_last() -> None:
+    """From 600 to 1200 s at τ = 3000 s: e^-0.2 - e^-0.4 = 0.818731 - 0.670320 = 0.148411, of 40 µm 5.93643."""
+    rows = {"first_row": 600.0, "last_row": 1200.0}
+    for form, where in (("warming since the start", "as a whole"), (UNEVEN, "on average over the travel")):
+        several = [1.0, 1.0, 1.0] if form == UNEVEN else []
+        stds = [1.0] * (1 + len(several)) + [1e-9]
+        given = [40.0, *several]
+        found = term("thermal_drift", form, ["time_s", "target_mm"], given, (3000.0,), constants=rows, stds=stds)
+        shown = found.parameters["drift_over_the_rows_um"]
+        assert (shown.value, shown.std) == pytest.approx((5.936428, 0.148411), rel=1e-5)
+        assert f"from the first row to the last, {where};" in found.effect.explain(found)
+
+
+@pytest.mark.parametrize(
+    ("amount", "stds", "stated"),
+    [
+        (40.0, (1.0, 1400.0), True),
+        (-40.0, (1.0, 1400.0), True),
+        (40.0, (1.0, 1600.0), False),
+        (40.0, (21.0, 1400.0), False),
+    ],
+)
+def test_where_a_warming_ends_is_stated_for_an_amount_and_a_time_known_to_half(
+    amount: float, stds: tuple[float, float], stated: bool
+) -> None:
+    """Half of 40 µm is 20, half of 3000 s is 1500; from 0 to 6000 s is e^-2 short of all of it."""
+    rows = {"first_row": 0.0, "last_row": 6000.0}
+    form = "warming since the start"
+    found = term("thermal_drift", form, ["time_s"], [amount], (3000.0,), constants=rows, stds=stds)
+    assert ("drift_um" in found.parameters) is stated
+    assert ("drift_over_the_rows_um" in found.parameters) is not stated
+
+
 @pytest.mark.parametrize(
     ("effect", "inputs"), [("thermal_drift", ["time_s"]), ("thermal_expansion", ["time_s", "target_mm"])]
 )
@@ -527,10 +713,7 @@ def test_drift_with_a_temperature_and_along_the_travel() -> None:
     assert values(lag.parameters) == {"coefficient_um_per_k": (2.0, 0.1), "lag_s": (90.0, 0.2)}
     assert "a lag of 90 ± 0.4 s by 2 ± 0.2 µm/K" in lag.effect.explain(lag)
     # u = 0.5: P0 … P3 = 1, 0.5, -0.125, -0.4375, times 1 - e^-1; beyond the travel u is held at 1
-    form, columns = (
-        "warming since the start, unlike along the travel",
-        {"time_s": [60.0, 60.0], "target_mm": [250.0, 900.0]},
-    )
+    form, columns = UNEVEN, {"time_s": [60.0, 60.0], "target_mm": [250.0, 900.0]}
     rows = basis("thermal_drift", form, columns, (60.0,), TRAVEL)
     assert rows[0] == pytest.approx([0.63212056 * p for p in (1.0, 0.5, -0.125, -0.4375)])
     assert rows[1] == pytest.approx([0.63212056] * 4)
@@ -653,6 +836,22 @@ def test_cyclic_amplitude_and_phase() -> None:
         assert "amplitude of 5 ± 0.2 µm, " in more.effect.explain(more)
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_period_and_phase_of_a_wave_that_changes_along_the_travel(sign: float) -> None:
+    """3 sin + 4 cos + u (5 sin + 12 cos): (3·12 - 4·5)/25 = 0.64 rad more over 100 mm, so 2π/8.3 + 0.0064 = 0.76341 rad/mm.
+
+    At 0, which is 1000 mm before mid-travel: 0.92730 - 6.4, and a turn. With u against it all three changes are opposite.
+    """
+    travel = {"centre_mm": 1000.0, "half_span_mm": 100.0}
+    given = [3.0, 4.0, 5.0 * sign, 12.0 * sign]
+    found = term("cyclic", "amplitude changing along the travel", ["target_mm"], given, (8.3,), constants=travel)
+    turned = 0.0064 * sign
+    assert found.parameters["period_mm"].value == pytest.approx(2 * math.pi / (2 * math.pi / 8.3 + turned))
+    whole = found.parameters["phase"].value
+    assert whole == pytest.approx(math.atan2(4.0, 3.0) + (-6.4 + 2 * math.pi if sign > 0 else 6.4 - 2 * math.pi))
+    assert found.parameters["change_to_the_ends_um"].value == pytest.approx(12.6)
+
+
 def test_a_change_of_phase_along_the_travel_is_a_change_of_the_period() -> None:
     """1 + 0.3 u of sin(2πx/10 + 0.7), fitted with waves of 10.004 mm: period and phase of the wave itself come out."""
     x = np.linspace(0.0, 400.0, 900)
@@ -685,6 +884,28 @@ def test_correlated_coefficients_in_amplitude_and_angle() -> None:
     broken = Term(EFFECTS["cyclic"], form, (1.0,), (3.0, 4.0), ((-0.01, 0, 0), (0, -0.04, 0), (0, 0, -1.0)))
     every = (broken.coefficient(0), broken.nonlinear(0), broken.amplitude(0, 1), broken.angle(0, 1))
     assert [one.std for one in every] == [0.0] * 4  # a variance that rounding made negative
+
+
+def test_the_uncertainty_of_a_derived_figure_is_its_slope_times_that_of_the_parameter() -> None:
+    """c³ has the slope 3c²: 3e-4 at 0.01; c² the slope 2c, -6 at -3. θ/(θ + v) at θ = v has the slope 1/(4v)."""
+    small = term("velocity_lag", "saturating", ["velocity_mm_s", "direction"], [0.01], (-3.0,), stds=[0.1, 0.2])
+    assert small.derived(lambda c, _: float(c[0]) ** 3).std == pytest.approx(0.1 * 3e-4, rel=1e-6)
+    assert small.derived(lambda _, theta: float(theta[0]) ** 2).std == pytest.approx(0.2 * 6.0, rel=1e-6)
+    slow = term("velocity_lag", "saturating", ["velocity_mm_s", "direction"], [8.0], (0.01,), stds=[1e-9, 0.001])
+    at = slow.at({"velocity_mm_s": 0.01, "direction": 1.0})  # 8·v·θ/(θ + v) = 0.04, and 8·0.25·0.001
+    assert (at.value, at.std) == pytest.approx((0.04, 0.002), rel=1e-6)
+    arm = term("abbe", "straight tilt, two offsets", ["abbe_offset_mm", "target_mm"], [3.0, 0.0], (-400.0,))
+    arm = replace(arm, form=replace(arm.form, constants=TRAVEL))
+    at = arm.at({"abbe_offset_mm": 0.0, "target_mm": 200.0})  # 3 µrad · -400 mm; 0.4·0.1, 0 and 3e-3·0.3 µm
+    assert (at.value, at.std) == pytest.approx((-1.2, math.hypot(0.04, 9e-4)), rel=1e-9)
+
+
+def test_the_uncertainty_of_one_row_counts_every_parameter() -> None:
+    """One width off the centre the bell is 0.60653, and its slope to the centre and to the width 0.060653 per mm, times 5 µm."""
+    zone = term("local_wear", "bump", ["target_mm", "direction"], [5.0], (100.0, 10.0), stds=[0.1, 0.3, 0.4])
+    at = zone.at({"target_mm": 110.0, "direction": 1.0})
+    b = 0.60653066
+    assert (at.value, at.std) == pytest.approx((5.0 * b, b * math.sqrt(0.1**2 + 0.15**2 + 0.2**2)), rel=1e-6)
 
 
 def test_a_step_begins_after_its_moment() -> None:

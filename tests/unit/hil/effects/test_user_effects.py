@@ -82,6 +82,13 @@ BROKEN = {
     ),
     "an id with spaces": (TEXT.replace('"coolant_level"', '"Coolant level"'), "id is 'Coolant level', expected small"),
     "no title": (TEXT.replace("    title: ", "    name: "), "title is None, expected str"),
+    "a rival by its name": (
+        TEXT.replace(
+            "    rivals: ClassVar[tuple[Rival, ...]] = (\n",
+            "    rivals: ClassVar[tuple[Rival, ...]] = (\n        'abbe',\n",
+        ),
+        "rivals holds something else than Rival",
+    ),
     "an action of its own": (
         TEXT.replace("Action.COMPENSATE", '"compensate"'),
         "action is 'compensate', expected Action",
@@ -152,6 +159,18 @@ def test_an_effect_that_fails_on_the_records_is_named_by_its_file(
     assert error.startswith(f"hil: {path}")
     assert error.count("\n") == 1
     assert expected in error
+
+
+def test_one_row_without_a_number_is_enough_and_none_is_none(tmp_path: Path) -> None:
+    columns = {name: np.arange(4.0) for name in ("run", "target_mm", "measured_mm", "coolant_level_mm")}
+    columns |= {"direction": np.ones(4)}
+    assert check_on(catalogue_with([OWN]), columns) is None
+    text = TEXT.replace("return np.asarray(level * u)[:, None]", "return np.where(u < 1, level * u, np.nan)[:, None]")
+    assert text != TEXT
+    with pytest.raises(
+        InputError, match=r"own\.py: effect coolant_level, form 'with position', has a basis that is not f"
+    ):
+        check_on(catalogue_with([own(tmp_path, text)]), columns)
 
 
 def test_only_what_comes_out_of_the_users_file_is_blamed_on_it() -> None:
