@@ -77,7 +77,7 @@ class FactLedger:
     def add(self, proofs: frozenset[Proof]) -> None:
         """Remember these proofs too. Raises InputError."""
         everything = self._all()
-        everything[self._key] = sorted(proof.value for proof in self.proven() | proofs)
+        everything[self._key] = sorted({*everything.get(self._key, ()), *(proof.value for proof in proofs)})
         self._path.parent.mkdir(parents=True, exist_ok=True)
         replace_file(self._path, (json.dumps(everything, indent=1) + "\n").encode())
 
@@ -85,7 +85,7 @@ class FactLedger:
         if not self._path.exists():
             return {}
         try:
-            found = json.loads(read_bytes(self._path))
+            found = json.loads(read_bytes(self._path).decode())
             return {str(key): [Proof(name).value for name in names] for key, names in found.items()}
         except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise InputError("does not say which facts were proven", path=self._path) from error

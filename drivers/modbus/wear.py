@@ -63,8 +63,8 @@ def _alone_in(directory: Path) -> Iterator[None]:
 
 def _read(path: Path) -> dict[str, int]:
     try:
-        counts = json.loads(read_bytes(path))
-    except (OSError, ValueError, RecursionError) as error:
+        counts = json.loads(read_bytes(path).decode())
+    except (ValueError, RecursionError) as error:
         raise InputError(f"cannot be read as a wear ledger: {error}", path=path) from error
     if not isinstance(counts, dict) or not all(type(count) is int and count >= 0 for count in counts.values()):
         raise InputError("is no wear ledger, expected an object of whole numbers >= 0", path=path)

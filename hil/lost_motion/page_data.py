@@ -11,7 +11,6 @@ from datetime import datetime
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.app.report.views import object_of, value_of
@@ -24,7 +23,7 @@ from hil.lost_motion.circle.job import DrivenCircle
 from hil.lost_motion.estimate import Estimate
 from hil.lost_motion.job import MeasuredLostMotion
 from hil.lost_motion.procedure import Proof
-from hil.records.files import parse_json
+from hil.records.files import parse_json, read_text
 from hil.records.rows import UM_PER_MM, Floats
 
 Points = list[tuple[float, float]]
@@ -81,7 +80,7 @@ def kept_lost_motion(axis: DriveAxis) -> KeptLostMotion | None:
     if not files:
         return None
     try:
-        found = object_of(parse_json(read_bytes(files[-1])))
+        found = object_of(parse_json(read_text(files[-1])))
     except (InputError, ValueError):
         return None
     proof, parameters = object_of(found.get("proof")), object_of(found.get("parameters"))

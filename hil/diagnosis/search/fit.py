@@ -256,7 +256,8 @@ def joint_fit(
         static = linear.projection(noise, unmodelled_um, None, out).solve(free[:, :0]).table
         return Model(table_of(solution.table[:w] + static[:w]), machine, about)
 
-    extended, bare = keeping(foreign_um + nuisance_um), keeping(foreign_um)
+    bare = keeping(foreign_um)
+    extended = keeping(foreign_um + nuisance_um) if np.any(nuisance_um) else bare
     return JointFit(whole, extended, bare, tuple(terms), white, nuisance_um)
 
 
