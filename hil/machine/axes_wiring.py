@@ -23,7 +23,7 @@ from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
 from hil.machine.cross_axis import CrossAxis
 from hil.machine.instruments import build_instrument, with_instrument
-from hil.machine.signals import ending_by_signals
+from hil.machine.interrupts import ending_by_signals
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import (

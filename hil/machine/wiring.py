@@ -37,8 +37,8 @@ from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
 from hil.machine.instruments import build_instrument, with_instrument
+from hil.machine.interrupts import ending_by_signals, stopped_by_signals
 from hil.machine.session import AxisSession
-from hil.machine.signals import ending_by_signals, stopped_by_signals
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.canopen_in_turn import DrivesInTurn, drives_in_turn

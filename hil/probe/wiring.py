@@ -27,7 +27,7 @@ from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.undo import undo_all
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis
-from hil.machine.signals import ending_by_signals, stopped_by_signals
+from hil.machine.interrupts import ending_by_signals, stopped_by_signals
 from hil.machine.supervisor import finish_despite_interrupt
 from hil.machine.wiring import BENCH_TIMEOUT_S, Links, canopen_drive, hardware_drive, modbus_drive
 from hil.probe.machine_file import (

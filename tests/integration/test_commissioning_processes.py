@@ -22,7 +22,7 @@ from support.commissioning import PATIENT, Job, kept, look, prepare, rows_of, wa
 from support.sim_process import SimProcess, sim
 
 from hil.app.terminal.main import main
-from hil.machine.signals import ENDED, INTERRUPTED, STOP_WITHIN_S
+from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 WIRES = {
     "modbus tcp": ("modbus", "--tcp", "127.0.0.1:0"),
@@ -273,7 +273,7 @@ def test_resume_in_another_process_stays_in_the_zero(
 MOVES_BY_SCRIPT = """
 import os, sys
 from hil.axis.axis_file import load_drive_axis
-from hil.machine.signals import ending_by_signals
+from hil.machine.interrupts import ending_by_signals
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import connected_drive

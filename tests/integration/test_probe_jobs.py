@@ -13,9 +13,10 @@ import pytest
 from support import probe_files
 
 import hil.probe.job
+from hil.app.desk.axis_thread import AxisThread
 from hil.app.desk.control import NotInControlError
 from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase, Progress
+from hil.app.desk.progress import JobLog, Phase, Progress
 from hil.app.desk.roles import LockedError
 from hil.app.jobs.job import Job
 from hil.app.panel.texts import Texts
@@ -218,6 +219,29 @@ def test_measured_corrected_and_centred(tmp_path: Path, until: Until, seen: Seen
         other = other_at(at.desks)
         assert other is not None
         assert (other.corrected["x_mm"], other.corrected["y_mm"]) == pytest.approx(boss.point_mm[:2], abs=1e-3)
+
+
+def test_a_job_that_is_over_has_given_its_axes_back(
+    tmp_path: Path, until: Until, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Else the next one, started at once, would ask for an axis that the last one is about to take back."""
+    seen_at_the_end: list[tuple[bool, list[bool]]] = []
+    taken_back: list[str] = []
+    end, take_back = JobLog.end, AxisThread.take_back
+
+    def ending(log: JobLog, *given: Any, **more: Any) -> None:
+        seen_at_the_end.append((taken_back == ["Y"], [desk.live.connected for desk in at.desks]))
+        end(log, *given, **more)
+
+    def taking_back(thread: AxisThread) -> None:
+        taken_back.append(thread.axis.name)
+        take_back(thread)
+
+    with at_work(tmp_path, until, "XY") as at:
+        monkeypatch.setattr(JobLog, "end", ending)
+        monkeypatch.setattr(AxisThread, "take_back", taking_back)
+        assert at.run(at.m90()).phase is Phase.DONE
+    assert seen_at_the_end == [(True, [False, False])]
 
 
 def test_a_chip_on_the_block_is_refused_and_said_in_german(tmp_path: Path, until: Until) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, suppress
 from contextvars import copy_context
 from dataclasses import dataclass, replace
+from functools import partial
 
 from drivers.clock import NS_PER_S, Waiting, WallClock
 from drivers.drive import DriveSample, DriveState, ServoDrive
@@ -155,7 +156,8 @@ class AxisThread:
         self._let_go.clear()
 
     def take_back(self) -> None:
-        """Connect the axis again, after that job."""
+        """Connect the axis again, after that job, whose last sample no longer counts."""
+        self.board.forget()
         self._lent.clear()
 
     def wait_let_go(self) -> None:
@@ -251,7 +253,7 @@ class AxisThread:
                 for note in drive.notes[known:] if session is None else session.untold_notes():
                     asked.log.tell(note)
 
-        self._carry_out(work, asked.log)
+        self._carried_out(work, asked.log)()
 
     def _run_connecting(self) -> None:
         """Run the requested job if it connects by itself. This axis is disconnected; lent axes are waited for."""
@@ -268,12 +270,13 @@ class AxisThread:
         self._borrowed = asked.lent
         self.board.forget()  # the job may show the axis by `Workplace.watch`
         try:
-            self._carry_out(work, asked.log)
+            record_end = self._carried_out(work, asked.log)
         finally:
             self._borrowed = ()
             self.board.forget()
             for other in asked.lent:
                 other.take_back()
+        record_end()  # last: whoever sees the end may lend the axes again
 
     def _place(self, asked: JobRequest, drive: ServoDrive | None, session: AxisSession | None) -> Workplace:
         threads = {one.axis.name: one for one in (self, *asked.lent)}
@@ -289,17 +292,17 @@ class AxisThread:
         heard = asked.log
         return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask)
 
-    def _carry_out(self, work: Callable[[], object], log: JobLog) -> None:
-        """Run a job's work and record how it ends. `one_job` has put the axis back before."""
+    def _carried_out(self, work: Callable[[], object], log: JobLog) -> Callable[[], None]:
+        """Run a job's work; returns what records how it ended. `one_job` has put the axis back before."""
         self._pacing.set_factor(self._pace)
         for thread in (self, *self._borrowed):
             thread.standstill.forget()
         try:
-            log.end(Phase.DONE, work())
+            return partial(log.end, Phase.DONE, work())
         except StoppedByOperator:
-            log.end(Phase.STOPPED)
+            return partial(log.end, Phase.STOPPED)
         except Exception as error:  # noqa: BLE001  a program error in a job must not end the thread
-            log.end(Phase.FAILED, error=self.errors.line_of(error), raised=error)
+            return partial(log.end, Phase.FAILED, error=self.errors.line_of(error), raised=error)
         finally:
             self._pacing.set_factor(1.0)
             self.stop.rearm()

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NoReturn
 from drivers.errors import BridgeError, InputError, LocalError
 from drivers.undo import one_line
 from hil.app.error_log import ERRORS, ErrorLog, thread_errors_caught
-from hil.machine.signals import INTERRUPTED, ending_by_signals
+from hil.machine.interrupts import INTERRUPTED, ending_by_signals
 
 if TYPE_CHECKING:
     from hil.app.terminal.resume_hints import Unfinished

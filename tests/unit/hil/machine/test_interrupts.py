@@ -9,13 +9,13 @@ import time
 
 import pytest
 
-from hil.machine.signals import ENDED, INTERRUPTED, STOP_WITHIN_S
+from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 PROGRAM = """
 import ctypes, os, signal, sys, threading, time
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests were started by nohup
-from hil.machine.signals import ending_by_signals
-from hil.machine.signals import stopped_by_signals
+from hil.machine.interrupts import ending_by_signals
+from hil.machine.interrupts import stopped_by_signals
 
 class Drive:
     def send_stop(self):
