@@ -16,8 +16,8 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Ri
 from hil.effects.survey import Survey
 from hil.effects.warming import (
     SINCE_START,
-    UNMEASURED,
     WARMING,
+    course_odds,
     rise,
     seen_in_rows,
     temperature_forms,
@@ -56,7 +56,7 @@ class ThermalDrift(Effect):
             return forms
         parameter, grid = time_constants(survey)
         travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm, **time_of_rows(survey)}
-        inputs, odds = (survey.time_column, "target_mm"), UNMEASURED if survey.temperatures else 0.0
+        inputs, odds = (survey.time_column, "target_mm"), course_odds(survey)
         return (*forms, Form(self.id, UNEVEN, inputs, travel, (parameter,), grid[::2], log_odds=odds))
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:

@@ -159,9 +159,9 @@ class Known:
 class JointFit:
     """Table and terms estimated together.
 
-    whole: with every term, the declared ones first; extended: with the terms a machine is compensated for; its table keeps what it
-    can hold of everything else, other terms and nuisance columns: their mean over these rows predicts other rows better than nothing
-    bare: the extended model without that share of the nuisance columns, for a model that has these themselves
+    whole: with every term, the declared ones first; bare: with the terms a machine is compensated for; of what instrument and set-up
+    did, and will not do in a later campaign, its table holds the mean alone, as the zero does not move; extended: the same, whose
+    table keeps what it can hold of the nuisance columns: their mean over these rows predicts other rows better than nothing
     found: the terms of the choices; white_um: standard deviation of the white noise
     nuisance_um: fitted value of the nuisance columns on every row, shape (n,)
     """
@@ -247,17 +247,15 @@ def joint_fit(
 
     whole = Model(table_of(solution.table[:w]), (*declared, *terms), about)
     machine = tuple(term for term in whole.terms if term.effect.action is Action.COMPENSATE)
-    others = [t.error_um(campaign.columns) for t in terms if t.effect.action is not Action.COMPENSATE]
-    foreign_um = np.sum([np.zeros(n), *others], axis=0)
-
-    def keeping(unmodelled_um: Floats) -> Model:
-        if not np.any(unmodelled_um):
-            return Model(whole.table, machine, about)
-        static = linear.projection(noise, unmodelled_um, None, out).solve(free[:, :0]).table
-        return Model(table_of(solution.table[:w] + static[:w]), machine, about)
-
-    bare = keeping(foreign_um)
-    extended = keeping(foreign_um + nuisance_um) if np.any(nuisance_um) else bare
+    foreign = [term for term in terms if term.effect.action is not Action.COMPENSATE]
+    of_machine = solution.table[:w].copy()
+    of_machine[0] += sum(
+        float(np.mean(term.error_um(campaign.columns))) for term in foreign
+    )  # its first column is the constant
+    bare = extended = Model(table_of(of_machine) if foreign else whole.table, machine, about)
+    if np.any(nuisance_um):
+        share = linear.projection(noise, nuisance_um, None, out).solve(free[:, :0]).table[:w]
+        extended = replace(bare, table=table_of(of_machine + share))
     return JointFit(whole, extended, bare, tuple(terms), white, nuisance_um)
 
 

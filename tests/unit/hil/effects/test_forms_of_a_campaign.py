@@ -228,14 +228,14 @@ def test_time_constants_from_a_few_rows_to_three_campaigns() -> None:
     assert (starts[0], starts[-1]) == pytest.approx((120.0, 10800.0))
     uneven = forms("thermal_drift")["warming since the start, unlike along the travel", "time_s"]
     assert uneven.starts == settle.starts[::2]
-    assert [form.log_odds for form in (settle, uneven, forms("thermal_drift")["temperature", "temp_screw_c"])] == [
-        -3,
-        -3,
-        0,
-    ]
+    assert (settle.log_odds, uneven.log_odds) == pytest.approx((-4.5 - math.log(2.0),) * 2)
     unlogged = forms("thermal_drift", with_only("time_s"))["warming since the start", "time_s"]
     assert unlogged.log_odds == 0.0  # nothing was measured that could be preferred
     lag = forms("thermal_expansion")["lagged temperature", "temp_screw_c"]
+    plain = [forms("thermal_drift")["temperature", f"temp_{name}_c"].log_odds for name in ("screw", "head")]
+    assert plain == pytest.approx([math.log(0.5)] * 2)  # it follows one of the two
+    assert forms("thermal_drift", with_only("temp_screw_c"))["temperature", "temp_screw_c"].log_odds == 0.0
+    assert lag.log_odds == pytest.approx(-1.5 + math.log(0.5))
     assert lag.inputs == ("temp_screw_c", "time_s", "target_mm")
     assert bounds(lag.nonlinear[0]) == (60.0, 3600.0, True)
     starts = [value for (value,) in lag.starts]
