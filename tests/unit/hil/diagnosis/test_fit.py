@@ -7,8 +7,9 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.noise.evidence import LinearCampaign, Noise
 from hil.diagnosis.search.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit, static_part
+from hil.diagnosis.table import DeclaredShape
 from hil.effects import Action, Form, Term
 from hil.effects.air_index import AirIndex
 from hil.effects.backlash import Backlash
@@ -54,19 +55,24 @@ def test_terms_that_follow_each_other_are_estimated_together() -> None:
     assert got == pytest.approx([0.02, 1.5], rel=0.2)
 
 
-def test_what_an_instrument_does_is_found_and_left_out_of_the_correction() -> None:
+@pytest.mark.parametrize("declared", [False, True])
+def test_what_an_instrument_does_is_found_and_left_out_of_the_correction(declared: bool) -> None:
     """The whole model holds it; the extended one, for the machine, holds the machine's errors and the mean of it, nothing of what a
     table would take from a jump in the middle of a run."""
     records = campaign(lambda c: wavy(c) + np.where(c["time_s"] > 300.0, 2.0, 0.0))
     prepared = prepare(records)
     setting = Setting.free(prepared)
+    if declared:
+        shape = DeclaredShape.of(fit_model(campaign(wavy, runs=5)).table, 0.3)
+        rest_um = prepared.error_um - np.array(shape.table.error_um(prepared.x, prepared.d))
+        setting = Setting(LinearCampaign(prepared, shape), rest_um, Known.none(len(prepared)))
     jump = next(c for c in grid_choices(DatumStep(), DatumStep().forms(prepared.survey)[0]) if c.theta[0] > 300.0)
     fit = joint_fit(setting, SMOOTH, setting.error_um, [jump])
     assert jump.effect.action is not Action.COMPENSATE
     assert [term.effect.id for term in fit.whole.terms] == ["datum_step"]
     assert fit.extended.terms == ()
     whole, machine = (model.error_um(prepared.columns) for model in (fit.whole, fit.extended))
-    assert np.std(setting.error_um - whole) < 0.35
+    assert np.std(prepared.error_um - whole) < 0.35
     assert np.mean(machine) == pytest.approx(np.mean(whole), abs=0.05)
     before = prepared.columns["time_s"] <= 300.0
     static = np.mean(np.where(before, 0.0, 2.0))
