@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -180,7 +180,17 @@ def _seconds(make: Callable[[int], str], read: Callable[[str, Path], object], si
     return float(least)
 
 
+@pytest.fixture
+def _only_new_objects() -> Iterator[None]:
+    """Collections before a round look at what the readers left, not at the hundreds of megabytes of the other tests."""
+    gc.collect()
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("_only_new_objects")
 @pytest.mark.parametrize("case", CASES)
 def test_time_grows_with_the_size_and_no_faster(
     case: str, tmp_path: Path, record_property: Callable[[str, object], None]
