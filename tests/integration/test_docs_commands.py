@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import fcntl
+import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from support.commissioning import shortened
-from support.docs import PAGES, ROOT, blocks, holds, outputs, page_output, run_commands, run_page
+from support.docs import COMMISSIONING, PAGES, ROOT, blocks, holds, outputs, page_output, run_commands, run_page
 from support.sim_process import sim
 
 pytestmark = pytest.mark.slow
@@ -23,21 +27,32 @@ RUN = [
 ]
 
 
+Commissioned = Callable[[], tuple[Path, dict[str, str]]]
+
+
 @pytest.fixture(scope="module")
-def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Callable[[], Path]:
-    """A folder in which the commands of the page "commissioning" were run, once for all pages that continue there."""
+def commissioned(tmp_path_factory: pytest.TempPathFactory) -> Commissioned:
+    """A folder in which the commands of the page "commissioning" were run, and what they printed: once for all pages that continue
+    there, in whichever process they are tested."""
+    own = tmp_path_factory.getbasetemp()
+    shared = own.parent if "PYTEST_XDIST_WORKER" in os.environ else own
 
     @cache
-    def folder() -> Path:
-        made = tmp_path_factory.mktemp("commissioned")
-        run_page("commissioning", made)
-        return made
+    def made() -> tuple[Path, dict[str, str]]:
+        folder, printed = shared / "commissioned", shared / "commissioned.json"
+        with (shared / "commissioned.lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not printed.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                folder.mkdir()
+                printed.write_text(json.dumps(run_page(COMMISSIONING, folder)), encoding="utf-8")
+        return folder, json.loads(printed.read_text(encoding="utf-8"))
 
-    return folder
+    return made
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_a_page_does_what_it_says(page: str, tmp_path: Path, commissioned: Callable[[], Path]) -> None:
+def test_a_page_does_what_it_says(page: str, tmp_path: Path, commissioned: Commissioned) -> None:
     said = page_output(page, tmp_path, commissioned)
     for command, block in outputs(PAGES[page].read_text(encoding="utf-8")):
         assert holds(block.text, said[command]), (

@@ -15,7 +15,7 @@ from pathlib import Path
 if __name__ == "__main__":  # the folder of a script is first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
 
-from support.docs import PAGES, holds, outputs, page_output, rewritten, run_page
+from support.docs import COMMISSIONING, PAGES, holds, outputs, page_output, rewritten, run_page
 
 
 def main(names: list[str], *, write: bool) -> int:
@@ -24,9 +24,8 @@ def main(names: list[str], *, write: bool) -> int:
     commissioned = Path(tempfile.mkdtemp())
 
     @cache
-    def prepared() -> Path:
-        run_page("commissioning", commissioned)
-        return commissioned
+    def prepared() -> tuple[Path, dict[str, str]]:
+        return commissioned, run_page(COMMISSIONING, commissioned)
 
     for name in names or [name for name, path in PAGES.items() if list(outputs(path.read_text(encoding="utf-8")))]:
         path = PAGES[name]

@@ -27,6 +27,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "hil/docs"
 PAGES = {path.stem: path for path in sorted(DOCS.glob("*.md"))} | {"README": ROOT / "README.md"}
+COMMISSIONING = "commissioning"
 CONTINUES = "continue in the folder of [commissioning](commissioning.md)"
 """A page that says so takes the files of that page for granted."""
 ELISION = "…"
@@ -104,7 +105,7 @@ def run_commands(commands: Sequence[str], folder: Path, page: str) -> dict[str, 
         script.append(f"[ {allowed} ] || exit 99")
     environment = {name: value for name, value in os.environ.items() if name not in PASSWORDS}
     environment |= {"COLUMNS": "120", "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
-    if page != "commissioning":  # which sets them itself
+    if page != COMMISSIONING:  # which sets them itself
         environment |= PASSWORDS
     subprocess.run(["bash", "-c", "\n".join(script)], cwd=folder, env=environment, check=False, timeout=900)
     said: dict[str, str] = {}
@@ -143,15 +144,18 @@ def outputs(text: str) -> Iterator[tuple[str, Block]]:
             yield " ".join(block.info[1:]), block
 
 
-def page_output(page: str, folder: Path, prepared: Callable[[], Path]) -> dict[str, str]:
+def page_output(page: str, folder: Path, prepared: Callable[[], tuple[Path, dict[str, str]]]) -> dict[str, str]:
     """What the commands of a page print, and those whose output it shows, run in a folder.
 
-    prepared: gives a folder in which the commands of the page "commissioning" were run; it is copied for a page that continues there.
+    prepared: gives a folder in which the commands of the page "commissioning" were run, and what they printed; it is copied for that
+    page and for one that continues there.
     """
     text = PAGES[page].read_text(encoding="utf-8")
-    if CONTINUES in " ".join(text.split()):
-        shutil.copytree(prepared(), folder, dirs_exist_ok=True)
-    said = run_page(page, folder)
+    said: dict[str, str] = {}
+    if page == COMMISSIONING or CONTINUES in " ".join(text.split()):
+        before, said = prepared()
+        shutil.copytree(before, folder, dirs_exist_ok=True)
+    said = dict(said) if page == COMMISSIONING else run_page(page, folder)
     for command, _ in outputs(text):
         if command not in said:
             said[command] = run_commands([command], folder, page)[command]
