@@ -46,7 +46,7 @@ def test_on_dask_workers_one_of_which_is_killed_half_way_every_machine_is_judged
             yield task, found
 
     monkeypatch.setattr("study.grammar.__main__.completed", killing_one)
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as cluster:
         assert main([*words, "--scheduler", cluster.scheduler_address]) == 0
     found = json.loads(out.read_text())["outcomes"]
     numbers = list(SEEDS["tuning"][:6])

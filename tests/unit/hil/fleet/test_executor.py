@@ -36,7 +36,7 @@ def test_a_killed_process_loses_no_task(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def cluster() -> Any:
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as found:
+    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as found:
         yield found
 
 
