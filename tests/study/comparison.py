@@ -16,6 +16,7 @@ from itertools import chain, zip_longest
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 if __name__ in ("__main__", "__mp_main__"):  # the folder of a script stands first in the path, and hides this package
     sys.path[0] = str(Path(__file__).parents[1])
@@ -54,7 +55,12 @@ def mixed_cases(machines: int, seed: int) -> list[Case]:
 
 
 def ask(case: Case) -> list[Answer]:
-    """Every method on one machine."""
+    """Every method on one machine, in one thread each: threads of several processes wait for each other on few cores."""
+    with threadpool_limits(1):
+        return _asked(case)
+
+
+def _asked(case: Case) -> list[Answer]:
     machine, plan = Machine(case.seed, case.effects, case.strength, case.noise), Plan(scatter=case.scatter)
     first, _ = machine.campaign(0, plan)
     second, parts = machine.campaign(1, plan)
