@@ -64,7 +64,7 @@ def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...]
     The lag belongs to the first search: a sensor's own noise enters an effect that reads it row by row, and a smooth
     course of time would fit better than the temperature it stands for.
     """
-    one_of = -math.log(max(len(survey.temperatures), 1))
+    one_of = column_odds(survey)
     forms = [Form(effect, TEMPERATURE, (name, *extra_inputs), log_odds=one_of) for name in survey.temperatures]
     if survey.rows < 4 or not survey.has(survey.time_column):
         return tuple(forms)
@@ -85,9 +85,14 @@ def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...]
     return tuple(forms)
 
 
+def column_odds(survey: Survey) -> float:
+    """Prior log odds of one temperature among those that were logged."""
+    return -math.log(max(len(survey.temperatures), 1))
+
+
 def course_odds(survey: Survey) -> float:
     """Prior log odds of a course of time since the start."""
-    return LAG + UNMEASURED - math.log(len(survey.temperatures)) if survey.temperatures else 0.0
+    return column_odds(survey) + LAG + UNMEASURED if survey.temperatures else 0.0
 
 
 def time_of_rows(survey: Survey) -> dict[str, float]:

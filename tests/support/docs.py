@@ -151,11 +151,11 @@ def page_output(page: str, folder: Path, prepared: Callable[[], tuple[Path, dict
     page and for one that continues there.
     """
     text = PAGES[page].read_text(encoding="utf-8")
-    said: dict[str, str] = {}
+    printed: dict[str, str] = {}
     if page == COMMISSIONING or CONTINUES in " ".join(text.split()):
-        before, said = prepared()
+        before, printed = prepared()
         shutil.copytree(before, folder, dirs_exist_ok=True)
-    said = dict(said) if page == COMMISSIONING else run_page(page, folder)
+    said = dict(printed) if page == COMMISSIONING else run_page(page, folder)
     for command, _ in outputs(text):
         if command not in said:
             said[command] = run_commands([command], folder, page)[command]

@@ -191,7 +191,6 @@ class AxisThread:
         while self._lent.is_set() and not self._closing.is_set():
             self._let_go.set()  # repeatedly: the next borrower may wait before the end of the last loan was seen here
             self._closing.wait(1.0 / RATE_HZ)
-        self.board.forget()
 
     def _lose(self, error: Exception) -> None:
         """The connection is lost: show the error, cancel a requested job, wait before the next attempt."""

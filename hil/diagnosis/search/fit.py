@@ -249,9 +249,8 @@ def joint_fit(
     machine = tuple(term for term in whole.terms if term.effect.action is Action.COMPENSATE)
     foreign = [term for term in terms if term.effect.action is not Action.COMPENSATE]
     of_machine = solution.table[:w].copy()
-    of_machine[0] += sum(
-        float(np.mean(term.error_um(campaign.columns))) for term in foreign
-    )  # its first column is the constant
+    # the first column of a table is the constant
+    of_machine[0] += sum(float(np.mean(term.error_um(campaign.columns))) for term in foreign)
     bare = extended = Model(table_of(of_machine) if foreign else whole.table, machine, about)
     if np.any(nuisance_um):
         share = linear.projection(noise, nuisance_um, None, out).solve(free[:, :0]).table[:w]
