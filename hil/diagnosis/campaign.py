@@ -35,6 +35,7 @@ class CampaignRows:
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,)
     run: index of the run 0 … r-1, (n,); sweep: index of the one-directional pass, ascending in time, (n,)
     basis: of the declared table; repeated: its knots are repeated targets, between which nothing is known
+    scale: relative standard deviation of each row's noise, (n,); None where all rows have the same
     """
 
     columns: Mapping[str, Floats]
@@ -44,6 +45,7 @@ class CampaignRows:
     basis: TableBasis
     repeated: bool
     survey: Survey
+    scale: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.error_um)

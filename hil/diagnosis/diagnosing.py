@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
 from hil.diagnosis.noise.evidence import Noise, Projection
+from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import LeftOver, left_over
@@ -69,9 +70,8 @@ def diagnose(
 def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
     started = time.perf_counter()
     rows = AllRows.of(records, seed)
-    campaign = rows.searched
-    problem = problem_of(campaign, effects, declared, seed)
-    chosen = settle(choose(problem))
+    problem, chosen = _choose(rows.searched, effects, declared, seed)
+    campaign = problem.campaign
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     few = on_few_rows(chosen)
@@ -87,7 +87,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
-    chosen = settle(beside_the_rest(chosen, left)) if left else chosen
+    chosen = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
     unexplained = unexplained or bool(left)
     fit, noise = smooth_fit(chosen.last, chosen.kept)
     chosen = replace(chosen, fit=fit)
@@ -157,6 +157,20 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     return replace(told, seconds=time.perf_counter() - started)
 
 
+def _choose(
+    campaign: CampaignRows, effects: Sequence[Effect], declared: Model | None, seed: int
+) -> tuple[Problem, Chosen]:
+    """The choice with its problem; made again with rows weighted where what it leaves grows with the speed."""
+    problem = problem_of(campaign, effects, declared, seed)
+    chosen = choose(problem)
+    left_um = campaign.error_um - chosen.fit.whole.error_um(campaign.columns) - chosen.fit.nuisance_um
+    scale = noise_with_speed(left_um, campaign)
+    if scale is not None:
+        problem = problem_of(replace(campaign, scale=scale), effects, declared, seed)
+        chosen = choose(problem)
+    return problem, settle(chosen)
+
+
 def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> JointFit | None:
     """The fit with an effect that is suspected only, where it is more than noise that wanders."""
     choice = unproven_choice(problem, chosen)
@@ -224,11 +238,14 @@ def exceeds_repeats(floor: PureError | None, parts: NoiseParts, alike: float = 1
 
 
 def noise_of_repeats(floor: PureError | None, campaign: CampaignRows, rows: AllRows, residual_um: Floats) -> float:
-    """Noise of the rows that were repeated over that of all rows, by the run, the speed and the quarter of the travel of each."""
+    """Noise of the rows that were repeated over that of all rows: by the speed, where it was found to grow with that, else by the run,
+    the speed and the quarter of the travel of each.
+    """
     mine = np.isin(rows.kept, () if floor is None else floor.rows)
     if not np.any(mine):
         return 1.0
-    return float(np.sqrt(np.mean(row_scale(residual_um[rows.kept], campaign)[mine] ** 2)))
+    scale = row_scale(residual_um[rows.kept], campaign) if campaign.scale is None else campaign.scale
+    return float(np.sqrt(np.mean(scale[mine] ** 2)))
 
 
 def _notes(
@@ -291,7 +308,9 @@ def required_all_the_same(
 
 
 def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
-    """The fit again beside what is left, without the terms that the records do not require beside that."""
+    """The fit again beside what is left, without the terms that the records do not require beside that; the same where nothing is."""
+    if not left:
+        return chosen
     last = chosen.last
     for one in left:
         last.searcher.add_nuisance(one.extra)
@@ -300,11 +319,20 @@ def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
     noise = last.searcher.fit_noise(kept, last.noise)
     last.searcher.limit_outliers(kept, noise)
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    return replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise))
+    return settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
+
+
+def _is_wander(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
+    """Whether what is left follows time alone beside a reading that wanders: any course of time is that."""
+    return _wanders(chosen) and left.columns == (campaign.survey.time_column,)
 
 
 def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
-    """Whether what is left is small and of an effect's own columns: its form is not quite the machine's."""
+    """Whether what is left is an effect's own: small, of its columns, so that its form is not quite the machine's; or a course of time
+    that moves with no other column, beside a reading that wanders.
+    """
+    if _is_wander(left, chosen, campaign) and not left.equivalent:
+        return True
     shared = {"target_mm", "direction", campaign.survey.time_column}
     projection = chosen.last.searcher.projection(chosen.last.noise.calm())
     return any(

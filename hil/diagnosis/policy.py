@@ -183,6 +183,12 @@ class Policy:
         10.0, "rows", "of average noise in each group before its scale is taken", "an earlier trial"
     )
     # -- noise -----------------------------------------------------------------------------------------------------------
+    noise_with_speed: float = _number(
+        6.0,
+        LOG,
+        "of noise that grows with the speed against noise that does not, from which rows are weighted",
+        "400 to 1",
+    )
     most_offset: float = _number(
         0.8, NOISE, "bound of the offsets of runs: a larger one is an effect", "an earlier trial"
     )

@@ -13,6 +13,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.effects.thermometers import TEMPERATURE, without_noise
+
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 
@@ -28,7 +30,7 @@ the latest first; closed loops are left out. `LONG_STROKE_MM` where there is non
 
 def complete(columns: Columns) -> dict[str, Floats]:
     """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm`, `command_mm` and those of BRANCH added where they
-    are missing or not filled.
+    are missing or not filled, and the machine's temperatures without the noise of their thermometers (`hil.effects.thermometers`).
 
     columns: at least `run`, `direction`, `target_mm`, each of shape (n,), rows in the order of time. `row_order`
     replaces `time_s` where that is missing (`time_column`).
@@ -38,6 +40,9 @@ def complete(columns: Columns) -> dict[str, Floats]:
         full["command_mm"] = full["target_mm"]
     if "row_order" not in full:
         full["row_order"] = row_order(full["run"])
+        time = full[time_column(full)]
+        thermometers = [name for name in full if TEMPERATURE.fullmatch(name) and _filled(full, name)]
+        full |= {name: without_noise(time, full[name]) for name in thermometers}
     if not _filled(full, "since_reversal_mm") or not _filled(full, "stroke_mm"):
         since, stroke = reversals(full["target_mm"], full["direction"])
         if not _filled(full, "since_reversal_mm"):

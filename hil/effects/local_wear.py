@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -15,8 +16,8 @@ USUAL_SHARE, USUAL_SPREAD = 1 / 12, 0.7
 """A zone is short against the travel: prior median of its width over half the travel, and standard deviation of the
 logarithm.
 """
-WIDEST = 1 / 8
-"""Largest width over half the travel: a zone, four widths, takes a quarter of the travel; what is wider is a shape of the axis."""
+WIDEST = 1 / 6
+"""Largest width over half the travel: a zone, four widths, takes a third of the travel; what is wider is a shape of the axis."""
 AT_BOUND = 0.95
 """Share of the widest from which the fit wants more than a zone."""
 ANYWHERE = -math.log(2 / USUAL_SHARE)
@@ -26,11 +27,20 @@ pay.
 NARROW = 0.1
 """Width over half the travel up to which a smooth table cannot represent the bump."""
 BUMP, REVERSAL, BOTH = "bump", "bump with direction", "bump in each direction"
+FLAT, FADING, RISING = "flat ", "fading ", "rising "
+"""Begin of the name of a zone that is worn evenly, and of one that is worn most at its lower or its upper end: a short stroke that was
+run again and again ends at one place.
+"""
+SHAPES = ("", FLAT, FADING, RISING)
+STEEP = 1 / 6
+"""Width of the steep side of a zone that fades, over that of the other: targets are seldom near enough to tell it."""
+WIDER = {"": 1.0, FLAT: 1.5, FADING: 2.0, RISING: 2.0}
+"""Largest width of each shape over that of a bump: the zone, outside which less than a seventh of the height is left, is as long."""
 
 
 class LocalWear(Effect):
     """error_um = h·exp(-((x - c)/w)²/2), height h in µm, centre c and width w in mm; alike or opposite in the two
-    directions.
+    directions. As a refinement h·exp(-((x - c)/w)⁴/2), or h·exp(-|x - c|/w) to one side of c.
     """
 
     id: ClassVar[str] = "local_wear"
@@ -57,20 +67,29 @@ class LocalWear(Effect):
             for w in np.geomspace(narrow, survey.half_span_mm * WIDEST, 5)
             for c in np.minimum(np.arange(low, high + w / 2, w), high)
         )
-        both = survey.has("direction")
         inputs = ("target_mm", "direction")
-        forms = [Form(self.id, BUMP, inputs, {}, (centre, width), starts, log_odds=ANYWHERE)]
-        if both:
-            forms.append(Form(self.id, REVERSAL, inputs, {}, (centre, width), starts, log_odds=ANYWHERE))
-            forms.append(Form(self.id, BOTH, inputs, {}, (centre, width), starts, scan=False, log_odds=ANYWHERE))
+        forms = []
+        for shape in SHAPES:
+            parameters = centre, replace(width, upper=WIDER[shape] * width.upper)
+            for name in (BUMP, REVERSAL, BOTH) if survey.has("direction") else (BUMP,):
+                scan = not shape and name != BOTH
+                forms.append(Form(self.id, shape + name, inputs, {}, parameters, starts, scan=scan, log_odds=ANYWHERE))
         return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         centre, width = theta
-        bump = np.exp(-0.5 * ((columns["target_mm"] - centre) / width) ** 2)
+        shape, name = split_name(form.name)
+        a = (columns["target_mm"] - centre) / width
+        if shape == FLAT:
+            zone = np.exp(-0.5 * a**4)
+        elif shape:
+            ahead = a if shape == FADING else -a
+            zone = np.where(ahead < 0.0, np.exp(-0.5 * (ahead / STEEP) ** 2), np.exp(-np.abs(ahead)))
+        else:
+            zone = np.exp(-0.5 * a**2)
         d = columns["direction"]
-        columns_of = {BUMP: [bump], REVERSAL: [d * bump], BOTH: [bump, d * bump]}
-        return np.column_stack(columns_of[form.name])
+        columns_of = {BUMP: [zone], REVERSAL: [d * zone], BOTH: [zone, d * zone]}
+        return np.column_stack(columns_of[name])
 
     def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
         return theta[1] <= NARROW * survey.half_span_mm
@@ -80,13 +99,19 @@ class LocalWear(Effect):
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"height_um": term.coefficient(0), "centre_mm": term.nonlinear(0), **term.positive(1, "width_mm")}
-        if term.form.name == BOTH:
+        if split_name(term.form.name)[1] == BOTH:
             found["height_with_direction_um"] = term.coefficient(1)
         return found
 
     def explain(self, term: Term) -> str:
-        sign = " of opposite sign in the two directions" if term.form.name == REVERSAL else ""
+        sign = " of opposite sign in the two directions" if split_name(term.form.name)[1] == REVERSAL else ""
         return (
             f"Around {term.nonlinear(0)} mm, with a half width of {term.positive_text(1, 'mm')}, the error bulges by"
             f" {term.coefficient(0)} µm{sign}: a worn or damaged zone."
         )
+
+
+def split_name(name: str) -> tuple[str, str]:
+    """Shape ("" for a bump, FLAT …) and direction (BUMP …) of a form's name. Raises KeyError for another form's in `basis`."""
+    shape = next((one for one in (FLAT, FADING, RISING) if name.startswith(one)), "")
+    return shape, name.removeprefix(shape)

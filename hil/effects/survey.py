@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.effects.history import time_column
+from hil.effects.thermometers import TEMPERATURE
 
 Floats = NDArray[np.float64]
 
-TEMPERATURE = re.compile(r"temp_\w+_c")
 OTHER_AXIS = re.compile(r"pos_\w+_mm")
 MOST_MOMENTS = 500
 """Most times between rows that are kept as candidates for a step."""

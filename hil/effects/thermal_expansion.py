@@ -19,8 +19,10 @@ from hil.effects.survey import Survey
 from hil.effects.warming import (
     ABOUT_A_POINT,
     REFERENCE_C,
+    UNLIKE_ALONG,
     is_about_a_point,
     is_since_start,
+    is_unlike_along,
     rise,
     seen_in_rows,
     temperature_forms,
@@ -29,6 +31,8 @@ from hil.effects.warming import (
 
 STEEL_TO_ALUMINIUM_PPM_K = (2.0, 35.0)
 """Low-expansion alloys to above aluminium (about 23); a steel screw is 11 to 12."""
+OF_WHAT_GROWS = ("temp_screw_c", "temp_scale_c")
+"""Temperatures of what the position is taken from, by the name of their place: the growth follows one of them sooner than another."""
 FARTHEST = 3.0
 """Distance of the fixed point from mid-travel, in half travels, beyond which no machine holds its screw: one travel past
 either end.
@@ -39,7 +43,8 @@ KNOWN_TO = 3.0
 
 class ThermalExpansion(Effect):
     """error_um = α·(x - x₀)·(T - 20 °C)·10⁻³, α in ppm/K, x in mm, reference temperature of ISO 1; or by time since the
-    start, in ppm. x₀ is zero, or free: then the basis is x·rise and rise, so that both are linear.
+    start, in ppm. x₀ is zero, or free: then the basis is x·rise and rise, so that both are linear. As a refinement α changes
+    along the travel: beside them (x - c)²/2h·rise, c the middle and h half the travel.
     """
 
     id: ClassVar[str] = "thermal_expansion"
@@ -53,19 +58,30 @@ class ThermalExpansion(Effect):
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
-        forms = temperature_forms(self.id, survey, extra_inputs=("target_mm",))
+        forms = temperature_forms(self.id, survey, extra_inputs=("target_mm",), likely=OF_WHAT_GROWS)
         travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
-        about = (replace(f, name=f.name + ABOUT_A_POINT, constants={**f.constants, **travel}) for f in forms)
-        return (*forms, *about) if survey.has("target_mm") else forms
+        if not survey.has("target_mm"):
+            return forms
+        about = [replace(f, name=f.name + ABOUT_A_POINT, constants={**f.constants, **travel}) for f in forms]
+        unlike = [
+            replace(f, name=f.name.removesuffix(ABOUT_A_POINT) + UNLIKE_ALONG + ABOUT_A_POINT, scan=False)
+            for f in about
+            if not is_since_start(f)
+        ]
+        return (*forms, *about, *unlike)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         x = columns["target_mm"] * UM_PER_MM_PPM
         risen = rise(form, theta, columns)
         grown = x[:, None] * risen
+        if is_unlike_along(form):
+            away = columns["target_mm"] - form.constants["centre_mm"]
+            bent = away**2 / (2.0 * form.constants["half_span_mm"]) * UM_PER_MM_PPM
+            return np.hstack([grown, risen, bent[:, None] * risen])
         return np.hstack([grown, risen]) if is_about_a_point(form) else np.asarray(grown)
 
     def is_straight(self, form: Form) -> bool:
-        return True
+        return not is_unlike_along(form)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:
@@ -74,6 +90,8 @@ class ThermalExpansion(Effect):
             found = {"expansion_ppm": term.coefficient(0), f"time_constant_{time_unit(term)}": term.nonlinear(0)}
         else:
             found = {"coefficient_ppm_per_k": term.coefficient(0)}
+            if is_unlike_along(term.form):
+                found["change_to_the_end_ppm_per_k"] = term.coefficient(2)
             if term.theta:
                 found |= term.positive(0, f"lag_{time_unit(term)}")
         point = fixed_point_mm(term)
@@ -97,8 +115,11 @@ class ThermalExpansion(Effect):
                 f" with a time constant of {tau} {time_unit(term)}: it warms up."
             )
         lag = f" seen through a lag of {term.positive_text(0, time_unit(term))}" if term.theta else ""
+        unlike = ""
+        if is_unlike_along(term.form):
+            unlike = f" in mid-travel, by {term.coefficient(2)} ppm/K more at its upper end"
         return (
-            f"The error grows with position{about} and {term.form.inputs[0]}{lag}: {first} ppm/K (steel 11 to 12),"
+            f"The error grows with position{about} and {term.form.inputs[0]}{lag}: {first} ppm/K{unlike} (steel 11 to 12),"
             f" reference {REFERENCE_C:g} °C."
         )
 
@@ -131,8 +152,22 @@ def fixed_point_mm(term: Term) -> Estimate | None:
     if not is_about_a_point(term.form) or abs(growth.value) <= KNOWN_TO * growth.std:
         return None
     i = _offset_index(term)
-    slope = growth.value * UM_PER_MM_PPM
-    point = -term.coefficients[i] / slope
-    c = term.covariance
-    variance = c[i][i] + 2 * point * UM_PER_MM_PPM * c[0][i] + (point * UM_PER_MM_PPM) ** 2 * c[0][0]
+    bend, centre, half = 0.0, 0.0, 1.0
+    if is_unlike_along(term.form):
+        centre, half = term.form.constants["centre_mm"], term.form.constants["half_span_mm"]
+        bend = term.coefficients[2] / (2.0 * half)
+    # there growth·x + offset + bend·(x - centre)² is zero
+    offset = term.coefficients[i] / UM_PER_MM_PPM
+    point = -offset / growth.value
+    if bend:
+        roots = np.roots([bend, growth.value - 2.0 * bend * centre, offset + bend * centre**2])
+        if np.any(np.iscomplex(roots)):
+            return None
+        point = float(roots.real[np.argmin(np.abs(roots.real - point))])
+    gradient = np.zeros(len(term.covariance))
+    gradient[0], gradient[i] = point, 1.0 / UM_PER_MM_PPM
+    if bend:
+        gradient[2] = (point - centre) ** 2 / (2.0 * half)
+    variance = float(gradient @ np.array(term.covariance) @ gradient)
+    slope = growth.value + 2.0 * bend * (point - centre)
     return Estimate(point, math.sqrt(max(variance, 0.0)) / abs(slope))

@@ -24,6 +24,8 @@ SLOW_WARMING = "warming since the start through two lags"
 SINCE_START = (WARMING, SLOW_WARMING)
 ABOUT_A_POINT = ", about a fixed point"
 """End of the name of a form that grows about a point which is fitted."""
+UNLIKE_ALONG = ", unlike along the travel"
+"""Before that, in the name of a form whose growth changes along the travel: a screw is warmest where its nut works most."""
 LAG = -1.5
 """Prior log odds of a temperature through a lag: this is free over a range of 150 to 1 and found to a factor of 1.7 or so either way,
 which is an Occam factor of 5 that the profile over it does not pay. Of 109 machines of the study with a slow cause (tuning seeds) two
@@ -57,15 +59,18 @@ def time_constants(survey: Survey) -> tuple[NonLinear, tuple[tuple[float, ...], 
     return NonLinear("time_constant", low / 2, 2 * high, usual=usual), grid
 
 
-def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...] = ()) -> tuple[Form, ...]:
+def temperature_forms(
+    effect: str, survey: Survey, extra_inputs: tuple[str, ...] = (), likely: tuple[str, ...] = ()
+) -> tuple[Form, ...]:
     """One form per temperature column, one per column through a lag, and warming with time, by one lag or two (refinement).
 
     The columns share the effect's prior: it follows one of them, and the more there are, the better the best of them fits by chance.
-    The lag belongs to the first search: a sensor's own noise enters an effect that reads it row by row, and a smooth
-    course of time would fit better than the temperature it stands for.
+    The lag belongs to the first search: a smooth course of time would fit better than the temperature it stands for.
+
+    likely: columns that share half of the prior among themselves, as they are of the part that the effect is about
     """
-    one_of = column_odds(survey)
-    forms = [Form(effect, TEMPERATURE, (name, *extra_inputs), log_odds=one_of) for name in survey.temperatures]
+    one_of = column_odds(survey, likely)
+    forms = [Form(effect, TEMPERATURE, (name, *extra_inputs), log_odds=odds) for name, odds in one_of.items()]
     if survey.rows < 4 or not survey.has(survey.time_column):
         return tuple(forms)
     parameter, grid = time_constants(survey)
@@ -79,20 +84,25 @@ def temperature_forms(effect: str, survey: Survey, extra_inputs: tuple[str, ...]
     lag = NonLinear("lag", low, high)
     starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 6))
     forms.extend(
-        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), {}, (lag,), starts, log_odds=one_of + LAG)
-        for name in survey.temperatures
+        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), {}, (lag,), starts, log_odds=odds + LAG)
+        for name, odds in one_of.items()
     )
     return tuple(forms)
 
 
-def column_odds(survey: Survey) -> float:
-    """Prior log odds of one temperature among those that were logged."""
-    return -math.log(max(len(survey.temperatures), 1))
+def column_odds(survey: Survey, likely: tuple[str, ...] = ()) -> dict[str, float]:
+    """Prior log odds of each temperature among those that were logged: half of the prior to the likely ones, where there are any."""
+    names = survey.temperatures
+    first = [name for name in names if name in likely]
+    weight = {name: 1.0 / len(names) for name in names}
+    if first and len(first) < len(names):
+        weight = {name: 0.5 / (len(first) if name in first else len(names) - len(first)) for name in names}
+    return {name: math.log(weight[name]) for name in names}
 
 
 def course_odds(survey: Survey) -> float:
     """Prior log odds of a course of time since the start."""
-    return column_odds(survey) + LAG + UNMEASURED if survey.temperatures else 0.0
+    return LAG + UNMEASURED - math.log(len(survey.temperatures)) if survey.temperatures else 0.0
 
 
 def time_of_rows(survey: Survey) -> dict[str, float]:
@@ -166,13 +176,18 @@ def is_about_a_point(form: Form) -> bool:
     return form.name.endswith(ABOUT_A_POINT)
 
 
+def is_unlike_along(form: Form) -> bool:
+    """Whether a form's growth changes along the travel."""
+    return form.name.endswith(UNLIKE_ALONG + ABOUT_A_POINT)
+
+
 def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     """The temperature rise of a form, shape (n, 1): K above 20 °C, or the fraction of the final rise (0 … 1). Raises
     KeyError for another form.
 
     SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
-    name = form.name.removesuffix(ABOUT_A_POINT)
+    name = form.name.removesuffix(ABOUT_A_POINT).removesuffix(UNLIKE_ALONG)
     if name in SINCE_START:
         x = columns[form.inputs[0]] / theta[0]
         settled = 1.0 - np.exp(-x)

@@ -81,16 +81,9 @@ class TableColumns:
     offset: Floats
 
     @classmethod
-    def of(cls, campaign: CampaignRows, shape: Shape, scale: Floats | None = None) -> TableColumns:
-        """The columns of a table shape at a campaign's rows, over the scale of each row's noise (n,) where it is given."""
-        columns, offset = shape.columns(campaign.x, campaign.d), run_columns(campaign)
-        if scale is None:
-            return cls(columns, offset)
-        s = scale[:, None]
-        return cls(
-            ShapeColumns(columns.free / s, columns.even / s, columns.odd / s, columns.given / s),
-            np.asarray(offset / s),
-        )
+    def of(cls, campaign: CampaignRows, shape: Shape) -> TableColumns:
+        """The columns of a table shape at a campaign's rows."""
+        return cls(shape.columns(campaign.x, campaign.d), run_columns(campaign))
 
     @cached_property
     def stacked(self) -> Floats:
@@ -139,7 +132,9 @@ def run_columns(campaign: CampaignRows) -> Floats:
 
 
 class Whitened:
-    """Rows of a campaign under one (ar, rho): covariance 1 + ar²·rho^|lag| within each pass, table columns whitened."""
+    """Rows of a campaign under one (ar, rho), table columns whitened: over the scale of each row, their noise has covariance
+    1 + ar²·rho^|lag| within each pass.
+    """
 
     def __init__(self, campaign: CampaignRows, table: TableColumns, ar: float, rho: float) -> None:
         self.campaign, self.columns, self.ar, self.rho = campaign, table, ar, rho
@@ -147,6 +142,8 @@ class Whitened:
         self._inverse: dict[int, Floats] = {}
         self._lower: dict[int, Floats] = {}
         self.log_v = np.zeros(len(campaign))
+        if campaign.scale is not None:
+            self.log_v += 2.0 * np.log(campaign.scale)
         for start, stop in pairwise(self._bounds):
             size = int(stop - start)
             if size not in self._inverse:
@@ -154,12 +151,14 @@ class Whitened:
                 lower = cholesky(np.eye(size) + ar**2 * rho**lag)
                 self._lower[size] = lower
                 self._inverse[size] = inverse_of_lower(lower)
-            self.log_v[start:stop] = -2.0 * np.log(np.diag(self._inverse[size]))
+            self.log_v[start:stop] -= 2.0 * np.log(np.diag(self._inverse[size]))
         self.table = self.whiten(table.stacked)
         self.gram = self.table.T @ self.table
 
     def whiten(self, columns: NDArray[Precision]) -> NDArray[Precision]:
-        """Columns (n, …) transformed so that the noise is white; single precision stays single."""
+        """Columns (n, …) transformed so that the noise is white and of one size; single precision stays single."""
+        if self.campaign.scale is not None:
+            columns = columns / self._over(columns)
         if self.ar == 0.0:
             return columns
         out = np.empty_like(columns)
@@ -170,12 +169,17 @@ class Whitened:
 
     def colour(self, white: Floats) -> Floats:
         """Inverse of `whiten`."""
-        if self.ar == 0.0:
-            return white
-        out = np.empty_like(white)
-        for start, stop in pairwise(self._bounds):
-            out[start:stop] = self._lower[int(stop - start)] @ white[start:stop]
-        return out
+        out = white
+        if self.ar != 0.0:
+            out = np.empty_like(white)
+            for start, stop in pairwise(self._bounds):
+                out[start:stop] = self._lower[int(stop - start)] @ white[start:stop]
+        return out if self.campaign.scale is None else out * self._over(white)
+
+    def _over(self, columns: NDArray[Precision]) -> NDArray[Precision]:
+        """The scale of each row, shaped to go with columns (n, …)."""
+        scale = np.ones(len(columns)) if self.campaign.scale is None else self.campaign.scale
+        return scale.astype(columns.dtype).reshape(-1, *(1,) * (columns.ndim - 1))
 
 
 class Projection:
@@ -372,15 +376,12 @@ def evidence_of_random(normal: Floats, b: Reals, rss: Floats, dof: int) -> tuple
 
 
 class LinearCampaign:
-    """A campaign as a linear model: the shape of its table, its columns, and the whitenings made so far.
+    """A campaign as a linear model: the shape of its table, its columns, and the whitenings made so far."""
 
-    scale: relative standard deviation of each row's noise, (n,); errors and columns beside the table are to be given over it
-    """
-
-    def __init__(self, campaign: CampaignRows, shape: Shape | None = None, scale: Floats | None = None) -> None:
+    def __init__(self, campaign: CampaignRows, shape: Shape | None = None) -> None:
         self.campaign = campaign
         self.shape: Shape = SplineShape(campaign.basis) if shape is None else shape
-        self.table = TableColumns.of(campaign, self.shape, scale)
+        self.table = TableColumns.of(campaign, self.shape)
         self._whitened: dict[tuple[float, float], Whitened] = {}
 
     @property

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 
+from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, log_prior
 from hil.diagnosis.policy import policy
 
@@ -22,6 +23,8 @@ CORRELATIONS = ((0.0, 0.0), (0.5, 0.5), (0.35, 0.9), (1.0, 0.5), (0.7, 0.9), (1.
 """Grid of (ar, rho): noise may be strong where its correlation lasts a few rows, weak where it lasts longer."""
 WEAK_CORRELATIONS = 2
 """If so many correlations in the grid do not improve on none, the stronger ones are not tried."""
+GROWTHS = np.geomspace(0.25, 16.0, 25)
+"""How many times the noise at rest the fastest rows have beside it: tried."""
 
 
 class Profile:
@@ -143,3 +146,20 @@ def fit_noise(
         if best is None or value > best[0]:
             best, point = (value, profile.unpack(found)), found
     return start if best is None else best[1]
+
+
+def noise_with_speed(left_um: Floats, campaign: CampaignRows) -> Floats | None:
+    """Relative standard deviation of each row's noise, (n,), its root mean square 1, where it grows with the speed; None where it does
+    not.
+
+    left_um: of each row, (n,). It is fitted as 1 + f·speed by the mean magnitude (Laplace's distribution): a few rows may lie far off.
+    """
+    if not campaign.survey.has("velocity_mm_s"):
+        return None
+    size, speed = np.abs(left_um), np.abs(campaign.columns["velocity_mm_s"])
+    scales = 1.0 + GROWTHS[:, None] * speed / float(np.max(speed))
+    worth = -len(size) * np.log(np.mean(size / scales, axis=1) / np.mean(size)) - np.sum(np.log(scales), axis=1)
+    best = int(np.argmax(worth))
+    if worth[best] < policy().noise_with_speed:
+        return None
+    return np.asarray(scales[best] / np.sqrt(np.mean(scales[best] ** 2)))

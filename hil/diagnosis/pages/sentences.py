@@ -1,8 +1,9 @@
 """The findings of a diagnosis as sentences in the page's language, from the effect, its form, and its figures with
 units.
 
-A sentence is stored under `explain.<effect>.<form>` in the texts, or `explain.<effect>.any` for its other forms. A
-user's own effect has none: its own English sentence is shown.
+A sentence is stored under `explain.<effect>.<form>` in the texts; else that of the simpler form counts (without its fixed point where
+that is not known, without the shape of a zone), or `explain.<effect>.any`. A user's own effect has none: its own English sentence is
+shown.
 """
 
 from __future__ import annotations
@@ -43,10 +44,8 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
     form = re.sub(r"\W+", "_", finding.form)
     known = {name for name, _, _ in finding.parameters}
     effect = "summed" if known == {"rms_um"} else finding.effect
-    keys = [f"explain.{effect}.{last}" for last in (form, "any")]
-    key = next((one for one in keys if finding.form and one in t), None)
-    if key is None:
-        return finding.explanation
+    simpler = form.removesuffix("_about_a_fixed_point"), form.partition("_")[2]
+    keys = [f"explain.{effect}.{last}" for last in (form, *simpler, "any")]
     inputs = [t.said(name) for name in finding.inputs]
     places: dict[str, str] = {"input": inputs[0] if inputs else "–", "inputs": " · ".join(inputs)}
     places["rms"] = t.estimate(finding.rms_um, None, "µm")
@@ -60,8 +59,10 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
     if "amount_at_shortest_travel" in places:
         seen, travel = places["amount_at_shortest_travel"], places["shortest_travel"]
         places["amount"] = t("bound.at_travel", amount=seen, travel=travel)
-    asked = {place for _, place, _, _ in Formatter().parse(t(key)) if place}
-    return t(key, **places) if asked <= set(places) else finding.explanation
+    for key in keys if finding.form else ():
+        if key in t and {place for _, place, _, _ in Formatter().parse(t(key)) if place} <= set(places):
+            return t(key, **places)
+    return finding.explanation
 
 
 def parameter(t: Texts, name: str) -> str:

@@ -85,9 +85,10 @@ def left_over(
         own = blocks.outside_table(null, block)
         if not own.shape[1]:
             break
-        found.setdefault(block.columns, []).append(own)
-        sure.setdefault(block.columns, min(10.0**-scanned.score, math.exp(-max(block.evidence, 0.0))))
-        equivalent.setdefault(block.columns, carrier.equivalent)
+        name = next((one for one in found if _same(one, equivalent[one], carrier)), block.columns)
+        found.setdefault(name, []).append(own)
+        sure.setdefault(name, min(10.0**-scanned.score, math.exp(-max(block.evidence, 0.0))))
+        equivalent.setdefault(name, carrier.equivalent)
         null = null.plus(own)
     if not found:
         return _of_hit_rows(null, columns, d, searcher.raw)
@@ -106,6 +107,18 @@ def left_over(
     largest = max((one.rms.value for one in out), default=0.0)
     return tuple(
         sorted((one for one in out if one.rms.value >= policy().minor * largest), key=lambda one: -one.rms.value)
+    )
+
+
+def _same(known: tuple[str, ...], equivalent: dict[str, tuple[str, ...]], carrier: Carried) -> bool:
+    """Whether a carrier's columns are those of one found before, or move together with them: then both are parts of one cause."""
+    columns = carrier.block.columns
+    return len(columns) == len(known) and all(
+        any(
+            one == other or one in equivalent.get(other, ()) or other in carrier.equivalent.get(one, ())
+            for other in known
+        )
+        for one in columns
     )
 
 

@@ -107,7 +107,7 @@ def process_of(waves: Floats, time: Variable) -> Floats:
 
 
 def evidence_of(projection: Projection, design: Floats) -> tuple[float, float]:
-    """Log evidence of a design (n, r) over the scale as one random effect, and its best variance ratio."""
+    """Log evidence of a design (n, r) as one random effect, and its best variance ratio."""
     w = projection.prepared(design)
     shadow = projection.shadow(w)
     normal = w.T @ w - shadow.T @ shadow
@@ -139,10 +139,9 @@ def _gain(wide: Floats, ratio: float, rss: float, dof: int) -> float:
 
 def block(null: Null, columns: tuple[str, ...], design: Floats, *, surely: bool = False) -> Block:
     """The evidence of a design (n, r), under the best noise model; with `surely` the least under every one nearly as good."""
-    scaled = design / null.scale[:, None]
-    gain, ratio = evidence_of(null.best, scaled)
+    gain, ratio = evidence_of(null.best, design)
     if surely:
-        gain = min([gain, *(evidence_of(projection, scaled)[0] for projection in null.nearly_as_good)])
+        gain = min([gain, *(evidence_of(projection, design)[0] for projection in null.nearly_as_good)])
     return Block(columns, design, gain, ratio)
 
 
@@ -150,7 +149,7 @@ def outside_table(null: Null, found: Block) -> Floats:
     """A block as few random columns of unit variance ratio, (n, r), without what the table can hold: that stays the table's."""
     table = null.linear.table
     width = table.table_width
-    columns = table.stacked[:, :width] * null.scale[:, None]
+    columns = table.stacked[:, :width]
     normal = columns.T @ columns + np.diag(table.ridge(null.noise)[:width]) + 1e-9 * np.eye(width)
     design = found.scaled
     rest = design - columns @ np.linalg.solve(normal, columns.T @ design)
@@ -168,7 +167,7 @@ def fitted(linear: LinearCampaign, y: Floats, beside: Extra, noise: Noise, parts
         return []
     null = Null.of(linear, y, Extra(beside.free, np.hstack([*parts, beside.random])), noise)
     alone = Null.of(linear, y, beside, noise).scaled_as(null)
-    ratios = [evidence_of(alone.best, part / null.scale[:, None])[1] for part in parts]
+    ratios = [evidence_of(alone.best, part)[1] for part in parts]
     parts = [part * math.sqrt(ratio) for part, ratio in zip(parts, ratios, strict=True)]
     projection = alone.plus(np.hstack(parts)).best
     solution = projection.solve(np.zeros((len(y), 0)))

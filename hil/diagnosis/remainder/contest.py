@@ -18,6 +18,8 @@ from hil.diagnosis.remainder.null import Null
 from hil.diagnosis.remainder.scan import Variable, variables
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.table import DeclaredShape
+from hil.effects.air import SENSORS
 
 
 def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[str]:
@@ -26,22 +28,26 @@ def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[s
         return set()
     campaign = searcher.linear.campaign
     whole = Null.of(LinearCampaign(campaign), searcher.y, searcher.extra(choices), noise)
-    s = whole.scale[:, None]
     time = campaign.survey.time_column
-    designs = {names: blocks.design_of(a, b, None) / s for names, a, b in _blocks(variables(campaign), time)}
+    designs = {names: blocks.design_of(a, b, None) for names, a, b in _blocks(variables(campaign), time)}
     out = set()
     for name in dict.fromkeys(choice.effect.id for choice in choices):
         mine = [choice for choice in choices if choice.effect.id == name]
+        if mine[0].effect.static and isinstance(searcher.linear.shape, DeclaredShape):
+            continue  # the table of these rows, which is free here, holds what a declared one lacks
         others = searcher.extra([choice for choice in choices if choice.effect.id != name])
-        null = replace(whole, beside=Extra(others.free / s, others.random / s)).best
+        null = replace(whole, beside=others).best
         if float(whole.best.rss) < (1.0 - policy().nearly_all) * float(null.rss):
             continue
         # a smooth function of the time is any slow course, and so no other cause by itself
         own = {"target_mm", "direction", time}.union(*(choice.form.inputs for choice in mine))
+        # nor is a function of the time and of what changes with it one beside a reading that wanders
+        slow = {time, *campaign.survey.temperatures, *SENSORS} if any(choice.form.shrunk for choice in mine) else own
         worth = {names: blocks.evidence_of(null, design)[0] for names, design in designs.items()}
-        of_others = max([value for names, value in worth.items() if not set(names) <= own], default=-math.inf)
+        its_own = {names for names in worth if set(names) <= own or (time in names and set(names) <= slow)}
+        of_others = max([value for names, value in worth.items() if names not in its_own], default=-math.inf)
         # a form that is not quite the machine's loses to functions of its own columns, and is no other cause
-        of_its_own = max([value for names, value in worth.items() if set(names) <= own], default=0.0)
+        of_its_own = max([value for names, value in worth.items() if names in its_own], default=0.0)
         if of_others > max(_evidence(null, mine, whole), of_its_own) + policy().beaten:
             out.add(name)
     return out
@@ -52,9 +58,8 @@ def _evidence(null: Projection, mine: Sequence[Choice], whole: Null) -> float:
     extra = Extra.none(len(whole.y))
     for choice in mine:
         extra = extra.plus(choice.extra(whole.linear.campaign))
-    s = whole.scale[:, None]
-    shrunk = blocks.evidence_of(null, extra.random / s)[0] if extra.random.shape[1] else 0.0
-    return shrunk + null.gain(extra.free / s) + sum(choice.log_prior for choice in mine)
+    shrunk = blocks.evidence_of(null, extra.random)[0] if extra.random.shape[1] else 0.0
+    return shrunk + null.gain(extra.free) + sum(choice.log_prior for choice in mine)
 
 
 def _blocks(columns: Sequence[Variable], time: str) -> Iterator[tuple[tuple[str, ...], Variable, Variable | None]]:

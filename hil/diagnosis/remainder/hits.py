@@ -60,7 +60,7 @@ class Hits:
 def every_so_many(null: Null, x: Variable, d: Floats | None) -> Block | None:
     """The clearest wave along the position x on rows that come back every 2nd to 12th row; None where noise does as much."""
     n = len(x.u)
-    waves = _waves(x, d) / null.scale
+    waves = _waves(x, d)
     every = [(k, first) for k in range(2, MOST_EVERY + 1) for first in range(k)]
     scores = np.empty((len(every), len(waves)))
     for i, (k, first) in enumerate(every):
@@ -76,7 +76,7 @@ def every_so_many(null: Null, x: Variable, d: Floats | None) -> Block | None:
         return None
     directed = d is not None and top >= len(waves) // 2
     names = ("row_order", "target_mm", "direction") if directed else ("row_order", "target_mm")
-    return Block(names, design.T * null.scale[:, None], score * np.log(10.0), RATIOS[-1])
+    return Block(names, design.T, score * np.log(10.0), RATIOS[-1])
 
 
 def beside_the_bulk(null: Null, raw: Floats) -> tuple[Floats, float]:
@@ -84,7 +84,7 @@ def beside_the_bulk(null: Null, raw: Floats) -> tuple[Floats, float]:
     out = np.zeros(len(raw), dtype=np.bool_)
     off, size = raw, 0.0
     for _ in range(TRIMMINGS):
-        off = null.linear.projection(null.noise.calm(), raw / null.scale, null.beside, out).unexplained
+        off = null.linear.projection(null.noise.calm(), raw, null.beside, out).unexplained
         size = 1.4826 * float(np.median(np.abs(off[~out] - np.median(off[~out]))))
         again = np.abs(off) > INSIDE * size
         if np.mean(again) > MOST_SHARE:

@@ -33,7 +33,7 @@ MOST_SPEEDS = 8
 class Null:
     """A campaign of weighted rows with the effects found.
 
-    linear: table and offsets over `scale`; y: errors over it, (n,); beside: columns of the effects over it
+    linear: table and offsets; y: errors, µm, (n,); beside: columns of the effects
     scale: relative standard deviation of the noise of each row, (n,); noise: of highest evidence; others: those nearly as good
     """
 
@@ -49,36 +49,32 @@ class Null:
         """From the errors y (n,) in µm, columns of the effects, and the noise model that they were found with."""
         campaign = linear.campaign
         calm = replace(noise, ar=0.0, rho=0.0)
-        residual = linear.projection(calm, y, beside).solve(np.zeros((len(y), 0))).residual
+        projection = linear.projection(calm, y, beside)
+        residual = projection.whitened.colour(projection.solve(np.zeros((len(y), 0))).residual)
         scale = row_scale(residual, campaign)
-        weighted = LinearCampaign(campaign, linear.shape, scale)
-        ys = y / scale
-        mine = Extra(beside.free / scale[:, None], beside.random / scale[:, None])
-        best = fit_noise(weighted, ys, mine, calm, correlations=CORRELATIONS, near=True)
+        weighted = LinearCampaign(replace(campaign, scale=scale), linear.shape)
+        best = fit_noise(weighted, y, beside, calm, correlations=CORRELATIONS, near=True)
         trials = [
             replace(best, ar=ar, rho=rho, offset=offset)
             for ar, rho in CORRELATIONS
             for offset in (*OFFSETS, best.offset)
         ]
         worth = {
-            trial: float(weighted.projection(trial, ys, mine).log_null) for trial in dict.fromkeys([best, *trials])
+            trial: float(weighted.projection(trial, y, beside).log_null) for trial in dict.fromkeys([best, *trials])
         }
         top = max(worth, key=lambda trial: worth[trial])
         good = sorted(
             (t for t in worth if t != top and worth[t] > worth[top] - policy().as_good), key=lambda t: -worth[t]
         )
-        return cls(weighted, ys, mine, scale, top, tuple(good[:MOST_MODELS]))
+        return cls(weighted, y, beside, scale, top, tuple(good[:MOST_MODELS]))
 
     def plus(self, random: Floats) -> Null:
         """With further random columns of unit variance ratio, (n, r), in µm."""
-        wider = np.hstack([random / self.scale[:, None], self.beside.random])
-        return replace(self, beside=Extra(self.beside.free, wider))
+        return replace(self, beside=Extra(self.beside.free, np.hstack([random, self.beside.random])))
 
     def scaled_as(self, other: Null) -> Null:
         """With the scale of the rows and the noise model of another null, without its columns."""
-        again = self.scale / other.scale
-        beside = Extra(self.beside.free * again[:, None], self.beside.random * again[:, None])
-        return replace(other, y=self.y * again, beside=beside)
+        return replace(other, y=self.y, beside=self.beside)
 
     def under(self, noise: Noise) -> Projection:
         """Everything of the null projected out, under one of its noise models."""

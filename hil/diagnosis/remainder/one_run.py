@@ -26,7 +26,7 @@ def in_one_run(null: Null, raw: Floats, x: Variable, d: Floats | None) -> Block 
     campaign = null.linear.campaign
     waves = x.waves(x.periods(FINE_POSITION)).transpose(0, 2, 1)  # (periods, n, 2)
     signed = waves if d is None else np.concatenate([waves, waves * d[:, None]])
-    models = [null.linear.projection(noise, raw / null.scale, null.beside) for noise in (null.noise, *null.others)]
+    models = [null.linear.projection(noise, raw, null.beside) for noise in (null.noise, *null.others)]
     best: tuple[float, Floats, bool] | None = None
     tests = len(signed) * campaign.runs
     for run in range(campaign.runs) if campaign.runs > 1 else ():
@@ -34,7 +34,7 @@ def in_one_run(null: Null, raw: Floats, x: Variable, d: Floats | None) -> Block 
         if int(np.sum(rows)) < LEAST_ROWS:
             continue
         designs = signed * rows[:, None]
-        scores = np.min([_scores(model, designs / null.scale[:, None], rows) for model in models], axis=0)
+        scores = np.min([_scores(model, designs, rows) for model in models], axis=0)
         scores -= np.log10(tests)
         top = int(np.argmax(scores))
         if scores[top] > policy().scan_fires_at and (best is None or scores[top] > best[0]):

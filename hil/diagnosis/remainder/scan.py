@@ -153,9 +153,8 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     d = campaign.d if campaign.survey.has("direction") else None
     found: list[tuple[float, Group]] = []
     batches: list[tuple[Sequence[Group], Floats]] = []
-    weight = (1.0 / null.scale).astype(np.float32)
     for groups, design in _batches(columns, d):
-        scores = -log10_probability(null.best, np.multiply(design, weight, out=design))
+        scores = -log10_probability(null.best, design)
         top = np.argsort(-scores)[:RESCORED]
         found.extend((float(scores[i]), groups[i]) for i in top)
         found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
@@ -166,7 +165,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         mine = [i for i, (score, group) in enumerate(found) if group.width == width and score > known]
         if not mine:
             continue
-        designs = [found[i][1].design(campaign.d) / null.scale[:, None] for i in mine]
+        designs = [found[i][1].design(campaign.d) for i in mine]
         stacked = np.stack([design.T for design in designs]).astype(np.float32)
         for projection in null.nearly_as_good:
             scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked))

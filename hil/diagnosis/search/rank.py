@@ -203,7 +203,8 @@ def rank(
     rough = _rough(conditional, noise)
     if not rough or (may_become_significant is not None and not any(may_become_significant(r) for r in rough)):
         return ()
-    return _enriched(conditional, _profiled(conditional, _refined(conditional, rough), noise))
+    best = _enriched(conditional, _profiled(conditional, _refined(conditional, rough), noise))
+    return tuple(r for r in best if not r.choice.effect.is_exceeded(r.choice.form, r.choice.theta))
 
 
 def _rough(conditional: ConditionalSearch, noise: Noise) -> list[Ranked]:
@@ -242,8 +243,7 @@ def _profiled(conditional: ConditionalSearch, refined: Sequence[Ranked], noise: 
     first: dict[str, Ranked] = {}
     for r in sorted(best, key=lambda r: -r.evidence):
         first.setdefault(r.effect, r)
-    ours = [r for r in first.values() if not r.choice.effect.is_exceeded(r.choice.form, r.choice.theta)]
-    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, conditional, r.noise)) for r in ours]
+    judged = [replace(r, evidence=r.evidence - _penalty(r.choice, conditional, r.noise)) for r in first.values()]
     return sorted(judged, key=lambda r: -r.evidence)
 
 

@@ -18,7 +18,7 @@ from hil.diagnosis.search.fit import grid_choices
 from hil.diagnosis.search.rank import by_column, score_choices
 from hil.diagnosis.verdict.held_out import ONCE
 from hil.effects import Effect, Survey, Term
-from hil.effects.survey import TEMPERATURE
+from hil.effects.thermometers import TEMPERATURE
 from hil.effects.warming import is_about_a_point, is_since_start
 
 Floats = NDArray[np.float64]

@@ -38,6 +38,9 @@ ALSO_RIGHT: Mapping[tuple[str, str], Mapping[str, str]] = {
 }
 """By cause and family: two names of the catalogue describe the same physical cause."""
 
+WITH_A_MEAN = ("bow", "worn", "wave")
+"""Reversal values along the axis whose mean over the travel is not zero: a constant one is a part of them."""
+
 _UNSEEN = "with no column for it the rows hold an offset that wanders with time and nothing else"
 WITHOUT_COLUMN: Mapping[str, Mapping[str, str]] = {
     "drift": {"beam_drift": _UNSEEN},
@@ -78,7 +81,9 @@ def right_names(cause: Cause, removed: tuple[str, ...], course_of_time: bool) ->
 
 
 def not_wrong(cause: Cause) -> frozenset[str]:
-    """Names that are not right for a cause from outside and not wrong either."""
+    """Names that are not right for a cause and not wrong either."""
+    if cause.name == "reversal_along" and cause.family in WITH_A_MEAN:
+        return frozenset({"backlash"})
     if cause.name != "outside" or cause.family not in ("alone", "with direction", "hidden") or len(cause.columns) != 1:
         return frozenset()
     column = cause.columns[0]

@@ -128,6 +128,7 @@ def draw_backlash(rng: Generator, state: State) -> Cause:
         0.2,
         20.0,
         static=True,
+        family=kind,
     )
 
 

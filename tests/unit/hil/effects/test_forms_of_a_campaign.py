@@ -108,13 +108,18 @@ def test_what_is_offered_and_what_only_refines() -> None:
     ]
     assert names("lost_motion") == [("exponential", True), ("tanh", True), ("two lengths", False)]
     assert names("velocity_lag") == [("proportional", True), ("with square", False), ("saturating", False)]
-    assert names("local_wear") == [("bump", True), ("bump with direction", True), ("bump in each direction", False)]
-    assert names("local_wear", with_only("target_mm")) == [("bump", True)]
+    zones = [("bump", True), ("bump with direction", True), ("bump in each direction", False)]
+    richer = [(shape + name, False) for shape in ("flat ", "fading ", "rising ") for name, _ in zones]
+    assert names("local_wear") == [*zones, *richer]
+    shapes = [("bump", True), ("flat bump", False), ("fading bump", False), ("rising bump", False)]
+    assert names("local_wear", with_only("target_mm")) == shapes
     assert names("pitch_shape") == [(n, True) for n in ("lead error", "bow", "shape", "fine shape")]
     warm = [("warming since the start", True), ("warming since the start through two lags", False)]
     temperatures = [("temperature", True)] * 2 + warm + [("lagged temperature", True)] * 2
     about_a_point = [(f"{name}, about a fixed point", scan) for name, scan in temperatures]
-    assert names("thermal_expansion") == [*temperatures, *about_a_point]
+    from_sensors = ["temperature"] * 2 + ["lagged temperature"] * 2
+    unlike = [(f"{name}, unlike along the travel, about a fixed point", False) for name in from_sensors]
+    assert names("thermal_expansion") == [*temperatures, *about_a_point, *unlike]
     assert names("thermal_drift") == [*temperatures, ("warming since the start, unlike along the travel", True)]
     assert names("thermal_drift", with_only("time_s")) == warm
     assert names("thermal_drift", campaign(rows=3)) == [("temperature", True)] * 2
@@ -236,6 +241,13 @@ def test_time_constants_from_a_few_rows_to_three_campaigns() -> None:
     assert plain == pytest.approx([math.log(0.5)] * 2)  # it follows one of the two
     assert forms("thermal_drift", with_only("temp_screw_c"))["temperature", "temp_screw_c"].log_odds == 0.0
     assert lag.log_odds == pytest.approx(-1.5 + math.log(0.5))
+    three = with_only(
+        "target_mm", "temp_screw_c", "temp_head_c", "temp_nut_c"
+    )  # the screw is what grows: half of the prior
+    grows = [forms("thermal_expansion", three)["temperature", f"temp_{name}_c"].log_odds for name in ("screw", "nut")]
+    assert grows == pytest.approx([math.log(0.5), math.log(0.25)])
+    drifts = forms("thermal_drift", three)["temperature", "temp_screw_c"].log_odds
+    assert drifts == pytest.approx(math.log(1 / 3))
     assert lag.inputs == ("temp_screw_c", "time_s", "target_mm")
     assert bounds(lag.nonlinear[0]) == (60.0, 3600.0, True)
     starts = [value for (value,) in lag.starts]
@@ -249,25 +261,29 @@ def test_time_constants_from_a_few_rows_to_three_campaigns() -> None:
     assert sparse["lagged temperature", "temp_head_c"].nonlinear[0].lower == 2000.0
 
 
-def test_zones_of_wear_take_at_most_a_quarter_of_the_travel() -> None:
-    """Four widths of 12.5 mm are 50 of 200 mm; from half of that in five steps of 2^¼, centres one width apart."""
+def test_zones_of_wear_take_at_most_a_third_of_the_travel() -> None:
+    """Four widths of 16.7 mm are 66.7 of 200 mm; from half of that in five steps of 2^¼, centres one width apart."""
     bump = forms("local_wear")["bump", "target_mm"]
     centre, width = bump.nonlinear
     assert bounds(centre) == (100.0, 300.0, False)
-    assert bounds(width) == (3.125, 12.5, True)
+    assert bounds(width) == (pytest.approx(100.0 / 24.0), pytest.approx(100.0 / 6.0), True)
+    widest = [
+        forms("local_wear")[f"{shape} bump", "target_mm"].nonlinear[1].upper for shape in ("flat", "fading", "rising")
+    ]
+    assert widest == pytest.approx([25.0, 100.0 / 3.0, 100.0 / 3.0])
     assert width.usual == pytest.approx((100.0 / 12, 0.7))
     widths = sorted({w for _, w in bump.starts})
-    assert widths == pytest.approx([6.25, 7.4325, 8.8388, 10.5112, 12.5], rel=1e-5)
-    assert [sum(w == one for _, w in bump.starts) for one in widths] == [33, 28, 24, 20, 17]
+    assert widths == pytest.approx([8.3333, 9.9101, 11.7851, 14.0149, 16.6667], rel=1e-5)
+    assert [sum(w == one for _, w in bump.starts) for one in widths] == [25, 21, 18, 15, 13]
     assert min(c for c, _ in bump.starts) == 100.0
     assert max(c for c, _ in bump.starts) == 300.0
-    assert sorted(c for c, w in bump.starts if w == widths[-1])[:2] == pytest.approx([100.0, 112.5])
+    assert sorted(c for c, w in bump.starts if w == widths[-1])[:2] == pytest.approx([100.0, 116.66667])
     sparse = forms("local_wear", campaign(spacing_mm=80.0))["bump", "target_mm"]
-    assert min(w for _, w in sparse.starts) == pytest.approx(6.25)  # a sixteenth of the half span
+    assert min(w for _, w in sparse.starts) == pytest.approx(100.0 / 12.0)  # a twelfth of the half span
     dense = forms("local_wear", campaign(spacing_mm=8.0))["bump", "target_mm"]  # half the spacing, and half of that
     assert (min(w for _, w in dense.starts), dense.nonlinear[1].lower) == pytest.approx((4.0, 2.0))
     wear = EFFECTS["local_wear"]
-    assert [wear.is_exceeded(bump, (150.0, w)) for w in (6.0, 11.0, 12.5)] == [False, False, True]
+    assert [wear.is_exceeded(bump, (150.0, w)) for w in (6.0, 15.0, 16.6)] == [False, False, True]
     assert bump.log_odds == pytest.approx(-math.log(24.0))  # as many places as usual widths fit into the travel
     assert wear.is_local(bump, (150.0, 10.0), campaign())  # a tenth of the half span
     assert not wear.is_local(bump, (150.0, 10.1), campaign())

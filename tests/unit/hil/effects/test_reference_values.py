@@ -578,6 +578,29 @@ def test_growth_about_a_fixed_point() -> None:
     assert "since the start about a fixed point at 150 ± 3 mm, by" in slow.effect.explain(slow)
 
 
+def test_growth_that_changes_along_the_travel() -> None:
+    """Middle 200, half 100 mm. 12 ppm/K, 4 more at 300 mm: 10 K at 300 mm add 10⁻³·(12·300 - 2400 + 4·100²/200)·10 = 14 µm.
+
+    Zero at 12 x - 2400 + 0.02 (x - 200)² = 0: x = 200; there the slope is 12, so 1 µm/K of the offset is 83.3 mm.
+    """
+    name = "temperature, unlike along the travel, about a fixed point"
+    found = term("thermal_expansion", name, WARM, [12.0, -2.4, 4.0], constants=TRAVEL)
+    columns = {"temp_screw_c": np.array([30.0, 30.0, 30.0]), "target_mm": np.array([200.0, 300.0, 100.0])}
+    assert found.error_um(columns) == pytest.approx([0.0, 14.0, -10.0])
+    said = values(found.parameters)
+    assert (said["coefficient_ppm_per_k"][0], said["change_to_the_end_ppm_per_k"][0]) == (12.0, 4.0)
+    assert said["fixed_point_mm"][0] == pytest.approx(200.0)
+    stds = [math.sqrt(found.covariance[i][i]) for i in range(2)]
+    assert said["fixed_point_mm"][1] == pytest.approx(math.hypot(200.0 * stds[0], 1000.0 * stds[1]) / 12.0)
+    assert "12 ± 0.2 ppm/K in mid-travel, by 4 ±" in found.effect.explain(found)
+    off = replace(found, coefficients=(12.0, -3.56, 4.0))  # -1160 + 12 q + 0.02 q² = 0, q = x - 200
+    assert off.parameters["fixed_point_mm"].value == pytest.approx(
+        200.0 + (-12.0 + math.sqrt(144.0 + 0.08 * 1160.0)) / 0.04
+    )
+    away = replace(found, coefficients=(12.0, 9.0, 4.0))  # 11400 + 12 (x - 200) + 0.02 (x - 200)² is nowhere zero
+    assert "fixed_point_mm" not in away.parameters
+
+
 def test_a_fixed_point_is_stated_where_the_growth_is_three_standard_deviations_from_none() -> None:
     """Of 12.5 ppm/K a third is 4.17."""
     for std, known in ((4.1, True), (4.3, False)):
@@ -753,6 +776,23 @@ def test_a_worn_zone_is_a_bell() -> None:
     assert basis("local_wear", "bump", columns, (100.0, 10.0)) == [[pytest.approx(b)] for b in bell]
     turned = [bell[0], -bell[1], -bell[2]]
     assert basis("local_wear", "bump with direction", columns, (100.0, 10.0)) == [[pytest.approx(b)] for b in turned]
+    at = {"target_mm": np.array([80.0, 95.0, 100.0, 105.0, 110.0]), "direction": np.ones(5)}
+    shaped = {
+        "flat bump": [math.exp(-8.0), math.exp(-1 / 32), 1.0, math.exp(-1 / 32), math.exp(-0.5)],  # ½ (2, ½, 0, ½, 1)⁴
+        "fading bump": [
+            math.exp(-72.0),
+            math.exp(-4.5),
+            1.0,
+            math.exp(-0.5),
+            math.exp(-1.0),
+        ],  # steep side: ½ (6·2, 6·½)²
+        "rising bump": [math.exp(-2.0), math.exp(-0.5), 1.0, math.exp(-4.5), math.exp(-18.0)],
+    }
+    for name, zone in shaped.items():
+        assert basis("local_wear", name, at, (100.0, 10.0)) == [[pytest.approx(z)] for z in zone]
+        back = at | {"direction": -np.ones(5)}
+        turned_over = basis("local_wear", f"{name} with direction", back, (100.0, 10.0))
+        assert turned_over == [[pytest.approx(-z)] for z in zone]
     both = basis("local_wear", "bump in each direction", columns, (100.0, 10.0))
     assert both == [pytest.approx([a, b]) for a, b in zip(bell, turned, strict=True)]
     found = term("local_wear", "bump in each direction", list(columns), [5.0, 2.0], (100.0, 10.0))

@@ -1,0 +1,105 @@
+"""Temperatures without their thermometers' noise: against courses that are known, and another implementation of smoothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_smoothing_spline
+
+from hil.effects.history import complete
+from hil.effects.thermometers import MOST_NOISE_K, without_noise
+
+ROWS = 300
+NOISE_K = 0.03
+
+
+def times(seed: int) -> np.ndarray:
+    """Times of rows with uneven intervals and a pause between two runs, s."""
+    steps = np.random.default_rng(seed).uniform(3.0, 9.0, ROWS)
+    steps[ROWS // 2] = 400.0
+    return np.cumsum(steps)
+
+
+def body_c(time_s: np.ndarray, tau_s: float = 600.0) -> np.ndarray:
+    """A body that a constant heat warms by 2 K in the end and that cools in the pause: exact solution of first-order heat flow."""
+    level, out = 0.0, []
+    for i, now in enumerate(time_s):
+        step = now - (time_s[i - 1] if i else 0.0)
+        end = 0.0 if i == ROWS // 2 else 2.0
+        level = end + (level - end) * np.exp(-step / tau_s)
+        out.append(20.0 + level)
+    return np.array(out)
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_body_is_known_better_than_its_thermometer_says(seed: int) -> None:
+    time_s = times(seed)
+    true_c = body_c(time_s)
+    reading = np.round(true_c + np.random.default_rng(seed + 100).normal(0.0, NOISE_K, ROWS), 2)
+    found = without_noise(time_s, reading)
+    assert rms(found - true_c) < 0.45 * rms(reading - true_c)
+
+
+def test_it_is_nearly_the_smoothing_spline_of_another_implementation() -> None:
+    time_s = np.cumsum(np.random.default_rng(3).uniform(4.0, 8.0, ROWS))
+    true_c = 20.0 + np.sin(time_s / 300.0)
+    reading = true_c + np.random.default_rng(4).normal(0.0, NOISE_K, ROWS)
+    other = make_smoothing_spline(time_s, reading)(time_s)  # generalised cross-validation
+    found = without_noise(time_s, reading)
+    assert rms(found - other) < 0.5 * NOISE_K
+    assert rms(found - true_c) < 1.1 * rms(other - true_c)
+
+
+def test_a_temperature_that_walks_at_random_is_not_smoothed_away() -> None:
+    rng = np.random.default_rng(5)
+    true_c = 20.0 + np.cumsum(rng.normal(0.0, NOISE_K, ROWS))
+    reading = true_c + rng.normal(0.0, NOISE_K / 2.0, ROWS)
+    found = without_noise(np.arange(ROWS) * 5.0, reading)
+    assert rms(found - true_c) < rms(reading - true_c)
+
+
+@pytest.mark.parametrize("resolution_k", [0.0, 0.1])
+def test_what_is_within_the_noise_of_thermometers_is_smoothed_and_what_is_not_is_left(resolution_k: float) -> None:
+    rng, time_s = np.random.default_rng(6), np.arange(ROWS) * 5.0
+    line = 20.0 + time_s / 1000.0
+    read = line + rng.normal(0.0, 0.8 * MOST_NOISE_K, ROWS)
+    read = np.round(read / resolution_k) * resolution_k if resolution_k else read
+    assert rms(without_noise(time_s, read) - line) < 0.3 * MOST_NOISE_K
+    at_random = line + rng.normal(0.0, 3.0 * MOST_NOISE_K, ROWS)
+    assert np.array_equal(without_noise(time_s, at_random), at_random)
+
+
+@pytest.mark.parametrize("exact", [np.full(ROWS, 20.0), 20.0 + np.arange(ROWS) * 0.01])
+def test_a_course_without_noise_stays(exact: np.ndarray) -> None:
+    assert without_noise(np.arange(ROWS) * 5.0, exact) == pytest.approx(exact, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "time_s",
+    [np.arange(8) * 5.0, np.full(40, 7.0), np.concatenate([np.arange(30.0), np.arange(30.0)])],
+    ids=["too few", "one moment", "a clock that starts again"],
+)
+def test_without_a_course_of_time_readings_stay(time_s: np.ndarray) -> None:
+    reading = 20.0 + np.random.default_rng(7).normal(0.0, NOISE_K, len(time_s))
+    assert np.array_equal(without_noise(time_s, reading), reading)
+
+
+def test_many_rows_take_no_longer_than_few_and_are_as_well_known() -> None:
+    time_s = np.sort(np.random.default_rng(8).uniform(0.0, 1e4, 100_000))
+    true_c = 20.0 + np.sin(time_s / 2000.0)
+    found = without_noise(time_s, true_c + np.random.default_rng(9).normal(0.0, NOISE_K, len(time_s)))
+    assert rms(found - true_c) < 0.1 * NOISE_K
+
+
+def test_rows_are_completed_once_and_only_the_machines_temperatures_are_touched() -> None:
+    rng, time_s = np.random.default_rng(10), times(10)
+    read = {name: body_c(time_s) + rng.normal(0.0, NOISE_K, ROWS) for name in ("temp_screw_c", "air_temp_c")}
+    rows = {"run": np.ones(ROWS), "direction": np.ones(ROWS), "target_mm": np.linspace(0.0, 300.0, ROWS)}
+    full = complete(rows | {"time_s": time_s} | read)
+    assert rms(full["temp_screw_c"] - body_c(time_s)) < 0.5 * NOISE_K
+    assert np.array_equal(full["air_temp_c"], read["air_temp_c"])
+    assert np.array_equal(complete(full)["temp_screw_c"], full["temp_screw_c"])
