@@ -22,6 +22,7 @@ from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.rise import Rise
 from hil.correction.running_lost_motion import Turns, wound_share
 from hil.correction.tables import TableSet
+from hil.effects import Term
 from hil.effects.history import BRANCH, LONG_STROKE_MM, remembered, strokes_of
 from hil.records.made_with import MadeWith
 from hil.records.rows import UM_PER_MM, Floats
@@ -145,6 +146,11 @@ class Compensation:
         """Columns that are read beyond target and direction."""
         own = set() if self.rise is None else {WOUND_SHARE}
         return frozenset(own.union(*(term.needs for term in self.terms))) - {"target_mm", "direction"}
+
+    @property
+    def lags(self) -> tuple[tuple[str, float], ...]:
+        """The sensors' columns that its effects read through a lag, and the time constant, s, of each."""
+        return tuple(lag for term in self.terms if isinstance(term, Term) and (lag := term.lag) is not None)
 
     @property
     def moves_axis(self) -> str:

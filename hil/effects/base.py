@@ -198,6 +198,11 @@ class Effect(ABC):
     def explain(self, term: Term) -> str:
         """One sentence: the cause, with figures and units."""
 
+    def lag(self, form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
+        """The sensor's column that it reads through a lag, and the time constant, s: a correction has to know that sensor's course."""
+        del form, theta
+        return None
+
     def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
         """Whether with these parameters the effect is a feature of one place.
 
@@ -240,6 +245,11 @@ class Term:
     def needs(self) -> tuple[str, ...]:
         """The columns it reads."""
         return self.form.inputs
+
+    @property
+    def lag(self) -> tuple[str, float] | None:
+        """See `Effect.lag`."""
+        return self.effect.lag(self.form, self.theta)
 
     def error_um(self, columns: Columns) -> Floats:
         """The error the effect causes, µm, shape (n,). Raises InputError when a column is missing or not finite."""

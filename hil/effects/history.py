@@ -2,11 +2,13 @@
 through a lag.
 
 Functions from columns to further columns, causal row by row. During a correction the engine tracks the same values and
-passes them as columns. For records that lack them they are estimated here, and the result lists which.
+passes them as columns; what a sensor said before, for a lag, is in `Course`. For records that lack them they are estimated
+here, and the result lists which.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 
@@ -170,11 +172,8 @@ def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
     out = np.array(values, dtype=np.float64)
     if tau_s <= 0 or len(out) < 2:
         return out
-    step = np.maximum(np.diff(time_s), 0.0)
-    ratio = step / tau_s
-    decay = np.exp(-ratio)
-    gain = np.divide(1.0 - decay, ratio, out=np.ones_like(ratio), where=ratio > 1e-9)
-    drive = (1.0 - gain) * out[1:] + (gain - decay) * out[:-1]
+    decay, newer, older = _lag_step(np.maximum(np.diff(time_s), 0.0), tau_s)
+    drive = newer * out[1:] + older * out[:-1]
     state = float(out[0])
     course = [state]
     for share, step_in in zip(
@@ -183,3 +182,49 @@ def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
         state = share * state + step_in
         course.append(state)
     return np.array(course)
+
+
+def _lag_step(step_s: Floats, tau_s: float) -> tuple[Floats, Floats, Floats]:
+    """Shares of the state before, of the value now and of the one before in the state after each step."""
+    ratio = step_s / tau_s
+    decay = np.exp(-ratio)
+    gain = np.divide(1.0 - decay, ratio, out=np.ones_like(ratio), where=ratio > 1e-9)
+    return decay, 1.0 - gain, gain - decay
+
+
+def through(column: str, tau_s: float) -> str:
+    """Name of the column that holds another one as it is now through a lag, where its course is not among the rows."""
+    return f"{column} through {tau_s!r} s"
+
+
+class Course:
+    """What sensors have said so far, so that a correction can read them through a lag while the machine runs."""
+
+    def __init__(self) -> None:
+        self._last_s = -math.inf
+        self._said: dict[str, list[tuple[float, float]]] = {}  # (s, value) by column
+        self._states: dict[
+            tuple[str, float], tuple[int, float]
+        ] = {}  # readings taken in, and the value through the lag
+
+    def note(self, known: Mapping[str, float]) -> None:
+        """Take in the columns of one moment; one before the last begins a new course, as its clock has begun anew."""
+        now_s = known["time_s"]
+        if now_s < self._last_s:
+            self._said, self._states = {}, {}
+        self._last_s = now_s
+        for name, value in known.items():
+            if TEMPERATURE.fullmatch(name) and np.isfinite(value):
+                self._said.setdefault(name, []).append((now_s, value))
+
+    def now(self, column: str, tau_s: float) -> float | None:
+        """The column through a lag, as `lagged` gives it for the last reading; None where there was none."""
+        said = self._said.get(column)
+        if not said:
+            return None
+        taken, state = self._states.get((column, tau_s), (1, said[0][1]))
+        for (before_s, old), (now_s, new) in pairwise(said[taken - 1 :]):
+            decay, newer, older = _lag_step(np.array([now_s - before_s]), tau_s)
+            state = float(decay[0] * state + newer[0] * new + older[0] * old)
+        self._states[column, tau_s] = len(said), state
+        return state

@@ -18,6 +18,7 @@ from hil.effects.warming import (
     SINCE_START,
     WARMING,
     course_odds,
+    lag_of,
     rise,
     seen_in_rows,
     temperature_forms,
@@ -65,6 +66,9 @@ class ThermalDrift(Effect):
         u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
         shape = np.polynomial.legendre.legvander(np.clip(u, -1.0, 1.0), POWERS - 1)
         return np.asarray(shape * (1.0 - np.exp(-columns[form.inputs[0]] / theta[0]))[:, None])
+
+    def lag(self, form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
+        return lag_of(form, theta)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if term.form.name in (UNEVEN, *SINCE_START) and not (seen := seen_in_rows(term)).determined:

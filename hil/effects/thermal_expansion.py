@@ -23,6 +23,7 @@ from hil.effects.warming import (
     is_about_a_point,
     is_since_start,
     is_unlike_along,
+    lag_of,
     rise,
     seen_in_rows,
     temperature_forms,
@@ -82,6 +83,9 @@ class ThermalExpansion(Effect):
 
     def is_straight(self, form: Form) -> bool:
         return not is_unlike_along(form)
+
+    def lag(self, form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
+        return lag_of(form, theta)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         if is_since_start(term.form) and not (seen := seen_in_rows(term)).determined:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.effects.base import MOST_UNSURE, Columns, Estimate, Floats, Form, NonLinear, Term
-from hil.effects.history import lagged
+from hil.effects.history import lagged, through
 from hil.effects.survey import Survey
 
 REFERENCE_C = 20.0
@@ -176,6 +176,12 @@ def is_about_a_point(form: Form) -> bool:
     return form.name.endswith(ABOUT_A_POINT)
 
 
+def lag_of(form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
+    """The column that a form reads through a lag, and its time constant, s; None for another form."""
+    name = form.name.removesuffix(ABOUT_A_POINT).removesuffix(UNLIKE_ALONG)
+    return (form.inputs[0], theta[0]) if name == LAGGED and form.inputs[1] == "time_s" else None
+
+
 def is_unlike_along(form: Form) -> bool:
     """Whether a form's growth changes along the travel."""
     return form.name.endswith(UNLIKE_ALONG + ABOUT_A_POINT)
@@ -194,7 +200,8 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         return settled[:, None] if name == WARMING else np.column_stack([settled, x * np.exp(-x)])
     values = columns[form.inputs[0]] - REFERENCE_C
     if name == LAGGED:
-        values = lagged(columns[form.inputs[1]], values, theta[0])
+        now = columns.get(through(form.inputs[0], theta[0]))
+        values = lagged(columns[form.inputs[1]], values, theta[0]) if now is None else now - REFERENCE_C
     elif name != TEMPERATURE:
         raise KeyError(form.name)
     return np.asarray(values)[:, None]

@@ -25,6 +25,7 @@ from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command, Compensation, MotionHistory
 from hil.correction.streamed import StreamedCorrection
+from hil.effects.history import Course, through
 from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
 from hil.machine.cross_axis import CrossAxis
@@ -92,6 +93,7 @@ class AxisSession:
         self._entered = False
         self._homed_here = False  # since the session was entered
         self._keeps_home = False  # the homing of an earlier job is still valid
+        self._course = Course()  # of the sensors, for effects that read them through a lag
         self._notes_told = 0  # of the drive's notes: those of `open` are the doctor's
 
     @property
@@ -360,6 +362,7 @@ class AxisSession:
             known[f"temp_{place}_c"] = value
         known.update(environment.beside)
         known.update(self.conditions.read())
+        self._course.note(known)
         return known
 
     def move_to(self, target_mm: float, velocity_mm_s: float | None = None, *, across_um: float = 0.0) -> Command:
@@ -378,9 +381,15 @@ class AxisSession:
 
     def known_for_commands(self) -> dict[str, float]:
         """`known()` at the begin of a move or a stream. Raises StateError while bridge and drive both correct."""
-        if self.compensation is not None:
-            refuse_while_drive_corrects(self.drive)
-        return self.known()
+        if self.compensation is None:
+            return self.known()
+        refuse_while_drive_corrects(self.drive)
+        known = self.known()
+        for column, tau_s in self.compensation.lags:
+            now = self._course.now(column, tau_s)
+            if now is not None:
+                known[through(column, tau_s)] = now
+        return known
 
     def _move(self, command: Command, velocity_mm_s: float | None) -> None:
         velocity = self.how.velocity_mm_s if velocity_mm_s is None else velocity_mm_s

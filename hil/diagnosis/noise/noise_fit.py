@@ -25,6 +25,8 @@ WEAK_CORRELATIONS = 2
 """If so many correlations in the grid do not improve on none, the stronger ones are not tried."""
 GROWTHS = np.geomspace(0.25, 16.0, 25)
 """How many times the noise at rest the fastest rows have beside it: tried."""
+FAR = 10.0
+"""Magnitude over the median beyond which a row counts as that far: seven standard deviations of normal noise."""
 
 
 class Profile:
@@ -152,11 +154,12 @@ def noise_with_speed(left_um: Floats, campaign: CampaignRows) -> Floats | None:
     """Relative standard deviation of each row's noise, (n,), its root mean square 1, where it grows with the speed; None where it does
     not.
 
-    left_um: of each row, (n,). It is fitted as 1 + f·speed by the mean magnitude (Laplace's distribution): a few rows may lie far off.
+    left_um: of each row, (n,). It is fitted as 1 + f·speed by the mean magnitude (Laplace's distribution): few rows may lie far off.
     """
     if not campaign.survey.has("velocity_mm_s"):
         return None
     size, speed = np.abs(left_um), np.abs(campaign.columns["velocity_mm_s"])
+    size = np.minimum(size, FAR * float(np.median(size)))
     scales = 1.0 + GROWTHS[:, None] * speed / float(np.max(speed))
     worth = -len(size) * np.log(np.mean(size / scales, axis=1) / np.mean(size)) - np.sum(np.log(scales), axis=1)
     best = int(np.argmax(worth))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,8 +24,11 @@ from hil.calibration.calibrate import calibrate
 from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.compensation import Columns, Compensation, MotionHistory
 from hil.correction.store import SealedStore
+from hil.correction.streamed import StreamedCorrection
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import bounded
+from hil.effects import ALL, Form, Term
+from hil.effects.history import through
 from hil.effects.model import Model, PitchTable
 from hil.lost_motion.procedure import measure_lost_motion
 from hil.machine.measure import BASE_COLUMNS, bidirectional_steps
@@ -293,6 +297,36 @@ def test_a_sensor_that_jumps_moves_nothing() -> None:
         with pytest.raises(CorrectionBoundError, match=r"-60 µm at 30\.01 mm"):  # a stream's
             session.set_point(session.set_points(), 30.01, 1.0)
         assert machine.motor_mm == before
+
+
+def test_a_sensor_is_read_through_the_lag_of_the_effect_in_force() -> None:
+    """1 µm/K through 60 s; the sensor goes from 20 to 30 °C at once and is read again a minute later."""
+    machine = ToyMachine(temperatures={"screw": 20.0})
+    drift = next(one for one in ALL if one.id == "thermal_drift")
+    form = Form(drift.id, "lagged temperature", ("temp_screw_c", "time_s"))
+    lagging = Term(drift, form, (60.0,), (1.0,), ((0.0, 0.0), (0.0, 0.0)))
+    with toy_session(machine) as session:
+        session.prepare()
+        session.compensation = Compensation(bidirectional([0, 100], [0, 0]), (lagging,))
+        assert session.move_to(30.0).correction_um == 0.0
+        began_s = session.known()["time_s"]
+        machine.temperatures["screw"] = 30.0
+        session.watch(0.1)
+        jumped_s = session.known()["time_s"]
+        session.watch(60.0)
+        command = session.move_to(40.0)
+        passed_s, step_s = session.known()["time_s"] - jumped_s, jumped_s - began_s
+    assert step_s < 1.0
+    assert command.correction_um == pytest.approx(-10.0 * (1.0 - math.exp(-60.0 / 60.0)), abs=0.3)
+    assert passed_s > 60.0
+    stream = StreamedCorrection(
+        Compensation(bidirectional([0, 100], [0, 0]), (lagging,)),
+        MotionHistory(0.0).moved_to(10.0),
+        10.0,
+        {"temp_screw_c": 30.0, "time_s": 5.0, through("temp_screw_c", 60.0): 24.0},
+        CorrectionBound(50.0),
+    )
+    assert (stream.command_mm(10.1) - 10.1) * 1000.0 == pytest.approx(-4.0)
 
 
 def test_what_is_sealed_and_what_is_opened_is_held_against_the_axis_files_bound(tmp_path: Path) -> None:

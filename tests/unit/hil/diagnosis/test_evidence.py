@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
-from hil.diagnosis.campaign import prepare
+from hil.diagnosis.campaign import CampaignRows, campaign_of, prepare
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection, bayes_factor, random_gain
-from hil.diagnosis.noise.noise_fit import fit_noise
+from hil.diagnosis.noise.noise_fit import fit_noise, noise_with_speed
+from hil.effects.history import complete
 
 CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
 BENCH = LinearCampaign(CAMPAIGN)
@@ -130,6 +132,60 @@ def test_a_random_effect_gains_what_its_marginal_likelihood_does() -> None:
     without, _ = reml(v, x, y)
     assert float(gain) == pytest.approx(with_it - without - 1.0, abs=1e-4)
     assert float(gain) > 5.0
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_rows_whose_noise_is_larger_weigh_less(noise: Noise) -> None:
+    """White and correlated noise over the scale of each row; table and offsets of the runs as they are."""
+    rng = np.random.default_rng(5)
+    scale = rng.uniform(0.5, 2.0, N)
+    weighted = LinearCampaign(replace(CAMPAIGN, scale=scale))
+    worth = []
+    for linear, s in ((BENCH, np.ones(N)), (weighted, scale)):
+        whole, x = dense(noise, np.arange(N))
+        v = whole - correlation(noise) + np.outer(s, s) * correlation(noise)
+        both = np.hstack([x, COLUMNS])
+        inverse = np.linalg.inv(v)
+        expected = np.linalg.solve(both.T @ inverse @ both, both.T @ inverse @ Y)[x.shape[1] :]
+        projection = linear.projection(noise, Y)
+        assert projection.estimate(COLUMNS) == pytest.approx(expected, rel=1e-6)
+        assert projection.solve(COLUMNS).coefficients == pytest.approx(expected, rel=1e-6)
+        worth.append((float(projection.log_null), reml(v, x, Y)[0]))
+    assert worth[1][0] - worth[0][0] == pytest.approx(worth[1][1] - worth[0][1], rel=1e-6)
+    white = weighted.whitened(noise)
+    np.testing.assert_allclose(white.colour(white.whiten(COLUMNS)), COLUMNS, atol=1e-12)
+    assert white.whiten(COLUMNS.astype(np.float32)).dtype == np.float32
+    covariance = np.outer(scale, scale) * correlation(noise)
+    w = white.whiten(np.eye(N))
+    np.testing.assert_allclose(w @ covariance @ w.T, np.eye(N), atol=1e-9)
+
+
+def at_speeds(speed_mm_s: np.ndarray) -> CampaignRows:
+    """A campaign whose rows were taken at these speeds."""
+    rows = len(speed_mm_s)
+    columns = {"run": np.repeat([1.0, 2.0], rows // 2), "direction": np.ones(rows), "velocity_mm_s": speed_mm_s}
+    columns["target_mm"] = np.resize(np.linspace(0.0, 300.0, 40), rows)
+    return campaign_of(complete(columns), np.zeros(rows))
+
+
+def test_noise_that_grows_with_the_speed_is_found_with_its_size() -> None:
+    """Three times as large at 100 mm/s: 1, 2, 3 at 0, 50, 100 mm/s, over their root mean square, √(14/3)."""
+    speed = np.tile([0.0, 50.0, -100.0], 80)
+    left = np.random.default_rng(2).normal(size=240) * (1.0 + 2.0 * np.abs(speed) / 100.0)
+    scale = noise_with_speed(left, at_speeds(speed))
+    assert scale is not None
+    assert scale[:3] == pytest.approx(np.array([1.0, 2.0, 3.0]) / math.sqrt(14 / 3), rel=0.15)
+    assert np.mean(scale**2) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_that_does_not_is_left(seed: int) -> None:
+    rng, speed = np.random.default_rng(seed), np.tile([0.0, 50.0, -100.0], 80)
+    assert noise_with_speed(rng.normal(size=240), at_speeds(speed)) is None
+    far = rng.standard_t(3, 240)
+    far[2] = 30.0  # one row at the highest speed far off
+    assert noise_with_speed(far, at_speeds(speed)) is None
+    assert noise_with_speed(rng.normal(size=240) * (1.0 + np.arange(240)), at_speeds(np.zeros(240))) is None
 
 
 def test_the_noise_model_found_is_the_best_of_its_neighbourhood() -> None:

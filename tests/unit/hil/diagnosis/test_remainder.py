@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from study.grammar.judge import outcome
 from study.grammar.machine import draw
 from support.workshop import TRAVEL_MM, Cause, Floats, workshop
 from threadpoolctl import threadpool_limits
@@ -598,3 +599,28 @@ def test_of_two_sensors_that_fit_alike_both_are_named_and_the_uncertainty_holds_
     told = diagnose(records).findings[0]
     assert told.follows == ()
     assert "which it follows" not in told.explanation
+
+
+@pytest.mark.parametrize(
+    ("seed", "name"),
+    [
+        (801848, "local_wear"),  # beside a table made before: a free one, which holds the zone, was no judge of it
+        (801966, "backlash_position"),
+        (801913, "local_wear"),  # an even zone: a bell at the bound of its width had hidden it
+        (801650, "beam_drift"),  # products of the time and what warms up follow any course of time
+        (801947, "beam_drift"),
+    ],
+)
+def test_machines_of_the_grammar_that_were_missed(seed: int, name: str) -> None:
+    found = outcome("strong", seed)
+    assert found["said"]["findings"][0]["effect"] == name
+    assert found["fresh_um"] < 1.05 * found["fresh_true_um"]
+
+
+def test_parts_along_columns_that_move_together_are_one_cause() -> None:
+    found = rest_of(workshop(11, state_nobody_logs, ratio=2.0, noise_um=NOISE_UM, warm_s=3000.0)[0])
+    assert len(found) == 1  # not one along the time and another along the temperature that rises with it
+    assert {"time_s", "temp_screw_c"} <= {
+        *found[0].columns,
+        *(name for same in found[0].equivalent.values() for name in same),
+    }

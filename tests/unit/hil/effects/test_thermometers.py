@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.interpolate import make_smoothing_spline
 
-from hil.effects.history import complete
+from hil.effects import ALL, Form, Term
+from hil.effects.history import Course, complete, lagged, through
 from hil.effects.thermometers import MOST_NOISE_K, without_noise
 
 ROWS = 300
@@ -103,3 +106,45 @@ def test_rows_are_completed_once_and_only_the_machines_temperatures_are_touched(
     assert rms(full["temp_screw_c"] - body_c(time_s)) < 0.5 * NOISE_K
     assert np.array_equal(full["air_temp_c"], read["air_temp_c"])
     assert np.array_equal(complete(full)["temp_screw_c"], full["temp_screw_c"])
+
+
+READINGS = st.lists(st.tuples(st.floats(0.0, 300.0), st.floats(-20.0, 80.0)), min_size=1, max_size=30)
+
+
+@given(READINGS, st.floats(1.0, 5000.0))
+def test_the_course_of_a_sensor_ends_where_the_lag_over_all_its_readings_does(
+    said: list[tuple[float, float]], tau_s: float
+) -> None:
+    time_s, value = np.cumsum([step for step, _ in said]), np.array([one for _, one in said])
+    course = Course()
+    for i, (now_s, one) in enumerate(zip(time_s, value, strict=True)):
+        course.note({"time_s": float(now_s), "temp_screw_c": float(one), "load_kg": 3.0})
+        if i % 3 == 0:  # asked in between or not, it is the same
+            course.now("temp_screw_c", tau_s)
+    assert course.now("temp_screw_c", tau_s) == pytest.approx(lagged(time_s, value, tau_s)[-1], abs=1e-9)
+    assert course.now("load_kg", tau_s) is None
+
+
+def test_a_clock_that_begins_anew_begins_a_new_course_and_no_value_is_none() -> None:
+    course = Course()
+    assert course.now("temp_screw_c", 60.0) is None
+    for now_s, value in ((0.0, 20.0), (60.0, 30.0), (120.0, float("nan"))):
+        course.note({"time_s": now_s, "temp_screw_c": value})
+    risen = course.now("temp_screw_c", 60.0)
+    assert risen == pytest.approx(20.0 + 10.0 * np.exp(-1.0))  # a ramp of 10 K over one time constant
+    course.note({"time_s": 5.0, "temp_screw_c": 25.0})
+    assert course.now("temp_screw_c", 60.0) == 25.0
+
+
+@pytest.mark.parametrize("effect", ["thermal_drift", "thermal_expansion"])
+def test_a_correction_reads_the_sensor_through_the_lag_of_its_effect(effect: str) -> None:
+    thermal = next(one for one in ALL if one.id == effect)
+    inputs = ("temp_screw_c", "time_s", "target_mm") if effect == "thermal_expansion" else ("temp_screw_c", "time_s")
+    term = Term(thermal, Form(effect, "lagged temperature", inputs), (60.0,), (2.0,), ((0.0, 0.0), (0.0, 0.0)))
+    assert term.lag == ("temp_screw_c", 60.0)
+    row = {"temp_screw_c": np.full(3, 30.0), "time_s": np.full(3, 99.0), "target_mm": np.full(3, 500.0)}
+    now = term.error_um(row | {through("temp_screw_c", 60.0): np.full(3, 22.0)})
+    assert now == pytest.approx(np.full(3, 4.0 if effect == "thermal_drift" else 2.0))  # 2 K; 2 ppm/K of 500 mm
+    assert term.error_um(row)[0] == pytest.approx(5.0 * now[0])  # its course unknown: as it is
+    plain = Term(thermal, Form(effect, "temperature", inputs), (), (2.0,), ((0.0,),))
+    assert plain.lag is None
