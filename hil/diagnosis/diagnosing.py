@@ -15,7 +15,7 @@ from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
-from hil.diagnosis.noise.evidence import Noise, Projection
+from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
 from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
@@ -105,14 +105,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     floor = pure_error(rows.columns, rows.error_um - np.sum([t.error_um(rows.columns) for t in extended.found], axis=0))
-    explained_um = predicted_um(floor, parts, len(campaign), _held(problem, noise))
-    unpredicted = not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
     residual_um = rows.error_um - extended.whole.error_um(rows.columns)
-    unexplained = (
-        unexplained
-        or unpredicted
-        or exceeds_repeats(floor, parts, noise_of_repeats(floor, campaign, rows, residual_um))
+    alike = noise_of_repeats(floor, campaign, rows, residual_um)
+    explained_um = predicted_um(
+        floor, parts, len(campaign), _held(problem, noise), alike=1.0 if campaign.scale is None else alike
     )
+    unpredicted = not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
+    unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts, alike)
     doubted = {
         f.effect
         for f in findings
@@ -148,7 +147,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *courses.values(),
-            *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, explained_um, len(campaign)),
+            *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, explained_um, len(campaign), alike=alike),
             *(_suspicion(term) for term in extended.found if extended is not chosen.fit),
         ),
     )
@@ -199,19 +198,27 @@ def _held(problem: Problem, noise: Noise) -> float:
     return float(np.trace(np.linalg.solve(gram + np.diag(table.ridge(noise)[:w]) + 1e-9 * np.eye(w), gram)))
 
 
-def predicted_um(floor: PureError | None, parts: NoiseParts, rows: int, table: float) -> float:
+def predicted_um(floor: PureError | None, parts: NoiseParts, rows: int, table: float, *, alike: float = 1.0) -> float:
     """RMS of the residual of rows left out that noise, its memory and the offsets of the runs explain, where the table took so many
-    degrees of freedom.
+    degrees of freedom. alike: as in `exceeds_repeats`.
     """
-    least_um = parts.white_um if floor is None else floor.std_um.value
+    least_um = parts.white_um if floor is None else floor.std_um.value / alike
     explained_um = math.hypot(least_um, parts.memory_um, parts.run_offset_um)
     return explained_um * math.sqrt(1.0 + 2.0 * table / max(rows - table, 1.0))
 
 
 def beyond_noise(
-    floor: PureError | None, parts: NoiseParts, held_out_um: float, explained_um: float, rows: int
+    floor: PureError | None,
+    parts: NoiseParts,
+    held_out_um: float,
+    explained_um: float,
+    rows: int,
+    *,
+    alike: float = 1.0,
 ) -> Iterator[str]:
-    """A note where the rows that were left out, or those that were fitted, vary by more than the noise explains."""
+    """A note where the rows that were left out, or those that were fitted, vary by more than the noise explains. alike: as in
+    `exceeds_repeats`.
+    """
     dof = rows if floor is None else floor.dof
     limit = float(fdtri(rows, dof, 1.0 - policy().silent))
     if held_out_um > explained_um * math.sqrt(limit):
@@ -219,7 +226,7 @@ def beyond_noise(
             f"on rows left out {held_out_um:.3g} µm RMS remain, and noise, its memory and the offsets of the runs explain"
             f" {explained_um:.3g} µm: something that does not repeat from run to run is not in the model"
         )
-    if floor is not None and parts.white_um > floor.std_um.value * math.sqrt(limit):
+    if floor is not None and parts.white_um * alike > floor.std_um.value * math.sqrt(limit):
         yield (
             f"from row to row {parts.white_um:.3g} µm remain, and repeats differ by {floor.std_um} µm ({floor.dof} degrees of"
             " freedom): what is left beside the model is more than noise"
@@ -334,7 +341,7 @@ def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
     if _is_wander(left, chosen, campaign) and not left.equivalent:
         return True
     shared = {"target_mm", "direction", campaign.survey.time_column}
-    projection = chosen.last.searcher.projection(chosen.last.noise.calm())
+    projection = _of_equal_rows(chosen)
     return any(
         set(left.columns) <= shared | set(term.needs)
         and left.rms.value < policy().shape * _beside_table_um(projection, term, campaign)
@@ -351,8 +358,18 @@ def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows
     """Whether the table can hold most of an effect of position and direction: its size and name rest on what is left."""
     if not finding.term.effect.static:
         return False
-    projection = chosen.last.searcher.projection(chosen.last.noise.calm())
-    return _beside_table_um(projection, finding.term, campaign) < policy().in_table * finding.rms_um
+    return _beside_table_um(_of_equal_rows(chosen), finding.term, campaign) < policy().in_table * finding.rms_um
+
+
+def _of_equal_rows(chosen: Chosen) -> Projection:
+    """The projection without the choices, every row counted alike: for sizes in µm."""
+    searcher, noise = chosen.last.searcher, chosen.last.noise.calm()
+    linear = searcher.linear
+    if linear.campaign.scale is None:
+        return searcher.projection(noise)
+    return LinearCampaign(replace(linear.campaign, scale=None), linear.shape).projection(
+        noise, searcher.y, searcher.always
+    )
 
 
 def _energy_beside(projection: Projection, course_um: Floats) -> float:

@@ -4,7 +4,8 @@ An effect is linear in its coefficients and, at most, non-linear in a few bounde
 error_um = basis(columns, theta) @ coefficients. It lists the *forms* that given records allow (which temperature
 column, exponential or tanh …); the diagnosis searches over forms and parameters.
 
-Evaluation is vectorised and causal: the error of a row depends only on what is known when its set-point is issued.
+Evaluation is vectorised and causal: the error of a row depends only on what is known when its set-point is issued (of whole records
+temperatures are known better, `hil.effects.thermometers`).
 History enters as columns (`time_s`, `since_reversal_mm`, `stroke_mm`); `hil.effects.history` computes those that follow
 from the rows.
 """

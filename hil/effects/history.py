@@ -1,7 +1,8 @@
 """Columns of the axis's history: time since the start, travel since the reversal, stroke before it, a sensor seen
 through a lag.
 
-Functions from columns to further columns, causal row by row. During a correction the engine tracks the same values and
+Functions from columns to further columns, causal row by row, but that `complete` takes the noise of thermometers out of whole records.
+During a correction the engine tracks the same values and
 passes them as columns; what a sensor said before, for a lag, is in `Course`. For records that lack them they are estimated
 here, and the result lists which.
 """
@@ -9,8 +10,10 @@ here, and the result lists which.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Mapping
 from itertools import pairwise
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -164,17 +167,20 @@ def branches(position_mm: Floats, direction: Floats, since_mm: Floats, stroke_mm
     return dict(zip(BRANCH, found.T, strict=True))
 
 
-def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
-    """`values` through a first-order lag of time constant tau_s (s), settled at the first row, shape (n,).
+def lagged(time_s: Floats, values: Floats, tau_s: float, *, begin: float | None = None) -> Floats:
+    """`values` through a first-order lag of time constant tau_s (s), shape (n,), at the first row settled, or `begin`.
 
     Exact for a value that changes linearly between rows. A single row, or tau_s ≤ 0, gives the values themselves.
     """
     out = np.array(values, dtype=np.float64)
     if tau_s <= 0 or len(out) < 2:
         return out
-    decay, newer, older = _lag_step(np.maximum(np.diff(time_s), 0.0), tau_s)
-    drive = newer * out[1:] + older * out[:-1]
-    state = float(out[0])
+    step = np.maximum(np.diff(time_s), 0.0)
+    ratio = step / tau_s
+    decay = np.exp(-ratio)
+    gain = np.divide(1.0 - decay, ratio, out=np.ones_like(ratio), where=ratio > 1e-9)
+    drive = (1.0 - gain) * out[1:] + (gain - decay) * out[:-1]
+    state = float(out[0]) if begin is None else begin
     course = [state]
     for share, step_in in zip(
         decay.tolist(), drive.tolist(), strict=True
@@ -184,47 +190,47 @@ def lagged(time_s: Floats, values: Floats, tau_s: float) -> Floats:
     return np.array(course)
 
 
-def _lag_step(step_s: Floats, tau_s: float) -> tuple[Floats, Floats, Floats]:
-    """Shares of the state before, of the value now and of the one before in the state after each step."""
-    ratio = step_s / tau_s
-    decay = np.exp(-ratio)
-    gain = np.divide(1.0 - decay, ratio, out=np.ones_like(ratio), where=ratio > 1e-9)
-    return decay, 1.0 - gain, gain - decay
-
-
 def through(column: str, tau_s: float) -> str:
     """Name of the column that holds another one as it is now through a lag, where its course is not among the rows."""
     return f"{column} through {tau_s!r} s"
+
+
+OFTEN_S = 1.0
+"""Readings of a sensor are kept at most so often: the bodies of a machine take minutes."""
+MOST_KEPT = 20_000
+"""Readings kept of a sensor; of the older half of them every second is left out then."""
 
 
 class Course:
     """What sensors have said so far, so that a correction can read them through a lag while the machine runs."""
 
     def __init__(self) -> None:
-        self._last_s = -math.inf
         self._said: dict[str, list[tuple[float, float]]] = {}  # (s, value) by column
-        self._states: dict[
-            tuple[str, float], tuple[int, float]
-        ] = {}  # readings taken in, and the value through the lag
+        self._taken: dict[
+            tuple[str, float], tuple[float, float, float]
+        ] = {}  # time and value of a reading, and through the lag
 
-    def note(self, known: Mapping[str, float]) -> None:
-        """Take in the columns of one moment; one before the last begins a new course, as its clock has begun anew."""
-        now_s = known["time_s"]
-        if now_s < self._last_s:
-            self._said, self._states = {}, {}
-        self._last_s = now_s
+    def note(self, now_s: float, known: Mapping[str, float]) -> None:
+        """Take in the columns at a moment of a clock that is never set."""
         for name, value in known.items():
-            if TEMPERATURE.fullmatch(name) and np.isfinite(value):
-                self._said.setdefault(name, []).append((now_s, value))
+            if not TEMPERATURE.fullmatch(name) or not math.isfinite(value):
+                continue
+            said = self._said.setdefault(name, [])
+            if len(said) > 1 and now_s - said[-2][0] < OFTEN_S:
+                said.pop()
+            said.append((now_s, value))
+            if len(said) > MOST_KEPT:
+                del said[1 : MOST_KEPT // 2 : 2]
 
     def now(self, column: str, tau_s: float) -> float | None:
         """The column through a lag, as `lagged` gives it for the last reading; None where there was none."""
         said = self._said.get(column)
         if not said:
             return None
-        taken, state = self._states.get((column, tau_s), (1, said[0][1]))
-        for (before_s, old), (now_s, new) in pairwise(said[taken - 1 :]):
-            decay, newer, older = _lag_step(np.array([now_s - before_s]), tau_s)
-            state = float(decay[0] * state + newer[0] * new + older[0] * old)
-        self._states[column, tau_s] = len(said), state
-        return state
+        since_s, value, state = self._taken.get((column, tau_s), (*said[0], said[0][1]))
+        later = [(since_s, value), *said[bisect_right(said, since_s, key=itemgetter(0)) :]]
+        time_s, values = np.array(later).T
+        course = lagged(time_s, values, tau_s, begin=state)
+        if len(later) > 2:  # the last reading may still be replaced
+            self._taken[column, tau_s] = (*later[-2], float(course[-2]))
+        return float(course[-1])

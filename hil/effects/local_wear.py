@@ -35,7 +35,9 @@ SHAPES = ("", FLAT, FADING, RISING)
 STEEP = 1 / 6
 """Width of the steep side of a zone that fades, over that of the other: targets are seldom near enough to tell it."""
 WIDER = {"": 1.0, FLAT: 1.5, FADING: 2.0, RISING: 2.0}
-"""Largest width of each shape over that of a bump: the zone, outside which less than a seventh of the height is left, is as long."""
+"""Largest width of each shape over that of a bump: the zones, outside which less than a seventh of the height is left, are then about
+as long, a third of the travel.
+"""
 
 
 class LocalWear(Effect):
@@ -105,10 +107,12 @@ class LocalWear(Effect):
 
     def explain(self, term: Term) -> str:
         sign = " of opposite sign in the two directions" if split_name(term.form.name)[1] == REVERSAL else ""
-        return (
-            f"Around {term.nonlinear(0)} mm, with a half width of {term.positive_text(1, 'mm')}, the error bulges by"
-            f" {term.coefficient(0)} µm{sign}: a worn or damaged zone."
-        )
+        place, width = f"{term.nonlinear(0)} mm", term.positive_text(1, "mm")
+        where = {
+            FADING: f"From {place} upwards, fading over {width}",
+            RISING: f"Up to {place}, rising over {width}",
+        }.get(split_name(term.form.name)[0], f"Around {place}, with a half width of {width}")
+        return f"{where}, the error bulges by {term.coefficient(0)} µm{sign}: a worn or damaged zone."
 
 
 def split_name(name: str) -> tuple[str, str]:

@@ -129,18 +129,21 @@ class ThermalExpansion(Effect):
 
     def implausible(self, term: Term) -> str | None:
         if is_about_a_point(term.form) and term.coefficients[0]:
-            point = -term.coefficients[_offset_index(term)] / (term.coefficients[0] * UM_PER_MM_PPM)
-            if abs(point - term.form.constants["centre_mm"]) > FARTHEST * term.form.constants["half_span_mm"]:
+            point = _zero_mm(term)
+            away = math.inf if point is None else abs(point - term.form.constants["centre_mm"])
+            if point is not None and away > FARTHEST * term.form.constants["half_span_mm"]:
                 return f"a fixed point at {point:.4g} mm lies more than a travel outside the travel"
         if is_since_start(term.form):
             return None
         low, high = STEEL_TO_ALUMINIUM_PPM_K
+        change = abs(term.coefficients[2]) if is_unlike_along(term.form) else 0.0
         growth = term.coefficients[0]
         if growth < 0.0:
             return f"{growth:.3g} ppm/K: neither screw nor scale moves the axis back as it warms"
-        if low <= growth <= high:
+        if low <= growth - change and growth + change <= high:
             return None
-        return f"{growth:.3g} ppm/K lies outside the {low:g} to {high:g} ppm/K of machine materials"
+        said = f"{growth:.3g} ± {change:.3g}" if change else f"{growth:.3g}"
+        return f"{said} ppm/K lies outside the {low:g} to {high:g} ppm/K of machine materials"
 
 
 def _offset_index(term: Term) -> int:
@@ -148,30 +151,44 @@ def _offset_index(term: Term) -> int:
     return len(term.coefficients) // 2
 
 
+def _bend(term: Term) -> tuple[float, float]:
+    """Of a growth that changes along the travel: half the change of its slope, ppm/K per mm, and the middle, mm; else 0, 0."""
+    if not is_unlike_along(term.form):
+        return 0.0, 0.0
+    return term.coefficients[2] / (2.0 * term.form.constants["half_span_mm"]), term.form.constants["centre_mm"]
+
+
+def _zero_mm(term: Term) -> float | None:
+    """Where growth·x + offset + bend·(x - centre)² is zero, nearest to where a straight growth would be; None where it is nowhere."""
+    growth, offset = term.coefficients[0], term.coefficients[_offset_index(term)] / UM_PER_MM_PPM
+    bend, centre = _bend(term)
+    straight = -offset / growth
+    if not bend:
+        return straight
+    roots = np.roots([bend, growth - 2.0 * bend * centre, offset + bend * centre**2])
+    if np.any(np.iscomplex(roots)):
+        return None
+    return float(roots.real[np.argmin(np.abs(roots.real - straight))])
+
+
 def fixed_point_mm(term: Term) -> Estimate | None:
     """The point about which the axis grows, with its first-order uncertainty; None for growth about zero, and where the
-    growth is not known well enough for a quotient by it.
+    growth there is not known well enough for a quotient by it.
     """
     growth = term.coefficient(0)
     if not is_about_a_point(term.form) or abs(growth.value) <= KNOWN_TO * growth.std:
         return None
-    i = _offset_index(term)
-    bend, centre, half = 0.0, 0.0, 1.0
+    point = _zero_mm(term)
+    if point is None:
+        return None
+    bend, centre = _bend(term)
+    covariance = np.array(term.covariance)
+    value, slope = np.zeros(len(covariance)), np.zeros(len(covariance))
+    value[0], value[_offset_index(term)], slope[0] = point, 1.0 / UM_PER_MM_PPM, 1.0
     if is_unlike_along(term.form):
-        centre, half = term.form.constants["centre_mm"], term.form.constants["half_span_mm"]
-        bend = term.coefficients[2] / (2.0 * half)
-    # there growth·x + offset + bend·(x - centre)² is zero
-    offset = term.coefficients[i] / UM_PER_MM_PPM
-    point = -offset / growth.value
-    if bend:
-        roots = np.roots([bend, growth.value - 2.0 * bend * centre, offset + bend * centre**2])
-        if np.any(np.iscomplex(roots)):
-            return None
-        point = float(roots.real[np.argmin(np.abs(roots.real - point))])
-    gradient = np.zeros(len(term.covariance))
-    gradient[0], gradient[i] = point, 1.0 / UM_PER_MM_PPM
-    if bend:
-        gradient[2] = (point - centre) ** 2 / (2.0 * half)
-    variance = float(gradient @ np.array(term.covariance) @ gradient)
-    slope = growth.value + 2.0 * bend * (point - centre)
-    return Estimate(point, math.sqrt(max(variance, 0.0)) / abs(slope))
+        half = term.form.constants["half_span_mm"]
+        value[2], slope[2] = (point - centre) ** 2 / (2.0 * half), (point - centre) / half
+    steep = growth.value + 2.0 * bend * (point - centre)
+    if abs(steep) <= KNOWN_TO * math.sqrt(max(float(slope @ covariance @ slope), 0.0)):
+        return None
+    return Estimate(point, math.sqrt(max(float(value @ covariance @ value), 0.0)) / abs(steep))

@@ -1,8 +1,8 @@
 """The course of a temperature without the noise of its thermometer.
 
 A body of a machine warms up and cools down over minutes; what its thermometer says differs from row to row by some hundredths of a
-kelvin. Row by row an axis of a metre with 12 ppm/K makes half a micrometre of them, in the fit and in the correction, and a lag that
-only averages the noise fits better than none.
+kelvin. Read row by row, these move the correction of an axis of a metre with 12 ppm/K by half a micrometre; and in a fit a lag that
+only averages them is better than none.
 
 Whittaker's smoother (1923) on the times of the rows: the sum of squared differences to the readings, plus λ times the integral of the
 squared slope (a temperature that is a random walk) or of the squared bend (whose slope is one). λ and which of the two by restricted
@@ -11,7 +11,9 @@ likelihood.
 
 from __future__ import annotations
 
+import contextlib
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,21 +30,73 @@ rows, and a resolution of a tenth of a kelvin has 0.03 K. Beyond it the readings
 """
 LEAST_NOISE_K = 1e-4
 """Noise below which it does not matter: readings without any would have no likelihood."""
+FARTHEST = 6.0
+"""Largest difference of a reading to the course, in standard deviations of the noise: beyond it something else happened, and the
+readings are taken as they are.
+"""
 FEWEST = 12
 """Moments below which the noise cannot be told from the course."""
 MOST_MOMENTS = 1000
-"""Moments of a record at most: readings between are averaged."""
-APART = 0.1
-"""Part of the mean interval below which two readings are of one moment, which keeps the equations well conditioned."""
+"""About as many moments are smoothed: readings between are averaged."""
+APART = 0.25
+"""Part of the median interval below which two readings are of one moment, which keeps the equations well conditioned."""
+PAUSE = 3.0
+"""Intervals between two moments from which they are not averaged."""
+RESOLVED = 2.5
+"""Median change from one reading to the next, in the smallest one, from which equal readings are one that was held, and not rounded
+alike.
+"""
 STEPS = 16
-"""Values of λ tried, in the time over which they smooth: from half the mean interval to a quarter of the record."""
+"""Values of λ tried, in the time over which they smooth: from half an interval to a quarter of the record."""
+
+
+def without_noise(time_s: Floats, reading_c: Floats) -> Floats:
+    """One temperature, °C, (n,), from its readings at times, s, (n,); where a clock begins anew, each stretch by itself.
+
+    The readings themselves where there are too few, or where their noise is more than `MOST_NOISE_K`.
+    """
+    begins = np.flatnonzero(np.diff(time_s) < 0.0) + 1
+    if not len(begins):
+        return _without_noise(time_s, reading_c)
+    parts = zip(np.split(time_s, begins), np.split(reading_c, begins), strict=True)
+    return np.concatenate([_without_noise(*part) for part in parts])
+
+
+def _without_noise(time_s: Floats, reading_c: Floats) -> Floats:
+    """The same of ascending times."""
+    intervals = np.diff(time_s)
+    if len(time_s) < FEWEST or not np.any(intervals > 0.0) or np.ptp(reading_c) == 0.0:
+        return reading_c
+    time = (time_s - time_s[0]) / float(np.median(intervals[intervals > 0.0]))
+    mean_c = float(np.mean(reading_c))
+    moments = _Moments.of(*_readings(time, reading_c - mean_c))
+    if len(moments.time) < FEWEST:
+        return reading_c
+    best = max(_tried(moments), key=lambda one: one.worth, default=None)
+    if best is None or best.noise_k > MOST_NOISE_K:
+        return reading_c
+    course = mean_c + _straight_between(time, moments.time, best.course)
+    off_k = np.abs(_straight_between(moments.time, moments.time, best.course) - moments.value) * np.sqrt(moments.count)
+    return course if float(np.max(off_k)) <= FARTHEST * max(best.noise_k, LEAST_NOISE_K) else reading_c
+
+
+def _readings(time: Floats, reading: Floats) -> tuple[Floats, Floats]:
+    """Readings with their times; one that was held over several rows once, at their mean time."""
+    changes = np.abs(np.diff(reading))
+    changes = changes[changes > 0.0]
+    if float(np.median(changes)) < RESOLVED * float(np.min(changes)):
+        return time, reading
+    index = np.concatenate([[0], np.cumsum(np.diff(reading) != 0.0)])
+    return np.bincount(index, time) / np.bincount(index), reading[
+        np.concatenate([[0], np.flatnonzero(np.diff(index)) + 1])
+    ]
 
 
 @dataclass(frozen=True)
 class _Moments:
-    """Readings averaged over moments. time: in mean intervals, ascending; count: readings of each; value: their mean, K; each (m,).
+    """Readings averaged over moments. time: in median intervals, ascending; count: readings of each; value: their mean, K; each (m,).
 
-    spread: sum of squares of the readings about their moment's mean, K²
+    spread: sum of squares of the readings about a straight course through their moment, K²
     """
 
     time: Floats
@@ -52,11 +106,21 @@ class _Moments:
 
     @classmethod
     def of(cls, time: Floats, reading: Floats) -> _Moments:
-        width = max(APART, len(time) / MOST_MOMENTS)
-        _, index = np.unique(np.floor((time - time[0]) / width), return_inverse=True)
+        bins, index = np.unique(np.round(time / APART), return_inverse=True)
+        at = np.bincount(index, time) / np.bincount(index)
+        at = np.clip(at, APART * (bins - 0.25), APART * (bins + 0.25))  # two that lie together across a border
+        together = -(-len(at) // MOST_MOMENTS)
+        if together > 1:
+            piece = np.concatenate([[0], np.cumsum(np.diff(at) > PAUSE * together)])
+            place = np.arange(len(at)) - np.searchsorted(piece, piece)
+            _, group = np.unique(piece * len(at) + place // together, return_inverse=True)
+            index = group[index]
+            at = np.bincount(index, time) / np.bincount(index)
         count = np.bincount(index).astype(float)
         value = np.bincount(index, reading) / count
-        return cls(np.bincount(index, time) / count, count, value, float(np.sum((reading - value[index]) ** 2)))
+        slope = np.gradient(value, at) if len(at) > 1 else np.zeros(1)
+        off = reading - value[index] - slope[index] * (time - at[index])
+        return cls(at, count, value, float(np.sum(off**2)))
 
     def differences(self, order: int) -> Floats:
         """Rows of a matrix, (m - order, order + 1), whose product with values squares to the integral of the squared derivative."""
@@ -66,27 +130,6 @@ class _Moments:
         before, after = h[:-1], h[1:]
         rows = np.column_stack([1.0 / before, -1.0 / before - 1.0 / after, 1.0 / after])
         return np.asarray(rows / np.sqrt((before + after) / 2.0)[:, None])
-
-
-def without_noise(time_s: Floats, reading_c: Floats) -> Floats:
-    """One temperature, °C, (n,), from its readings at times, s, (n,).
-
-    The readings themselves where times do not ascend, where there are too few, or where their noise is more than `MOST_NOISE_K`.
-    """
-    if len(time_s) < FEWEST or np.any(np.diff(time_s) < 0.0) or time_s[-1] <= time_s[0] or np.ptp(reading_c) == 0.0:
-        return reading_c
-    time = time_s * ((len(time_s) - 1) / float(time_s[-1] - time_s[0]))
-    mean_c = float(np.mean(reading_c))
-    moments = _Moments.of(time, reading_c - mean_c)
-    m = len(moments.time)
-    if m < FEWEST:
-        return reading_c
-    widths = np.geomspace(0.5, m / 4.0, STEPS) * (len(time) / m)
-    tried = (_Course.of(moments, order, width ** (2 * order)) for order in (1, 2) for width in widths.tolist())
-    best = max(tried, key=lambda one: one.worth)
-    if best.noise_k > MOST_NOISE_K:
-        return reading_c
-    return np.asarray(mean_c + np.interp(time, moments.time, best.course))
 
 
 @dataclass(frozen=True)
@@ -101,7 +144,10 @@ class _Course:
 
     @classmethod
     def of(cls, moments: _Moments, order: int, stiffness: float) -> _Course:
-        """With the squared derivative of an order held small, `stiffness` times against the squared differences to the readings."""
+        """With the squared derivative of an order held small, `stiffness` times against the squared differences to the readings.
+
+        Raises numpy.linalg.LinAlgError where rounding hides the readings beside it.
+        """
         m, freedom = len(moments.time), float(np.sum(moments.count)) - 2.0
         rows = moments.differences(order)
         matrix = stiffness * _banded(rows, m)
@@ -124,6 +170,23 @@ class _Course:
         return cls(
             course, -0.5 * (freedom * np.log(squares / freedom) + float(logs)), float(np.sqrt(squares / freedom))
         )
+
+
+def _tried(moments: _Moments) -> Iterator[_Course]:
+    readings = float(np.sum(moments.count))
+    for order in (1, 2):
+        for width in np.geomspace(0.5, readings / 4.0, STEPS).tolist():
+            with contextlib.suppress(np.linalg.LinAlgError):
+                yield _Course.of(moments, order, width ** (2 * order))
+
+
+def _straight_between(time: Floats, moments: Floats, course: Floats) -> Floats:
+    """The course at some times: straight between the moments, and beyond them."""
+    found = np.interp(time, moments, course)
+    for beyond, at, inner in ((time < moments[0], 0, 1), (time > moments[-1], -1, -2)):
+        slope = (course[inner] - course[at]) / (moments[inner] - moments[at])
+        found[beyond] = course[at] + slope * (time[beyond] - moments[at])
+    return np.asarray(found)
 
 
 def _banded(rows: Floats, size: int) -> Floats:

@@ -176,10 +176,15 @@ def is_about_a_point(form: Form) -> bool:
     return form.name.endswith(ABOUT_A_POINT)
 
 
+def _course(form: Form) -> str:
+    """Name of what a form follows: TEMPERATURE, LAGGED …"""
+    end = UNLIKE_ALONG + ABOUT_A_POINT
+    return form.name.removesuffix(end if form.name.endswith(end) else ABOUT_A_POINT)
+
+
 def lag_of(form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
     """The column that a form reads through a lag, and its time constant, s; None for another form."""
-    name = form.name.removesuffix(ABOUT_A_POINT).removesuffix(UNLIKE_ALONG)
-    return (form.inputs[0], theta[0]) if name == LAGGED and form.inputs[1] == "time_s" else None
+    return (form.inputs[0], theta[0]) if _course(form) == LAGGED and form.inputs[1] == "time_s" else None
 
 
 def is_unlike_along(form: Form) -> bool:
@@ -193,7 +198,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
 
     SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
-    name = form.name.removesuffix(ABOUT_A_POINT).removesuffix(UNLIKE_ALONG)
+    name = _course(form)
     if name in SINCE_START:
         x = columns[form.inputs[0]] / theta[0]
         settled = 1.0 - np.exp(-x)

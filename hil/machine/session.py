@@ -362,7 +362,7 @@ class AxisSession:
             known[f"temp_{place}_c"] = value
         known.update(environment.beside)
         known.update(self.conditions.read())
-        self._course.note(known)
+        self._course.note(self.clock.now_ns() / 1e9, known)
         return known
 
     def move_to(self, target_mm: float, velocity_mm_s: float | None = None, *, across_um: float = 0.0) -> Command:

@@ -158,7 +158,7 @@ class Whitened:
     def whiten(self, columns: NDArray[Precision]) -> NDArray[Precision]:
         """Columns (n, …) transformed so that the noise is white and of one size; single precision stays single."""
         if self.campaign.scale is not None:
-            columns = columns / self._over(columns)
+            columns = columns / _beside(self.campaign.scale, columns)
         if self.ar == 0.0:
             return columns
         out = np.empty_like(columns)
@@ -174,12 +174,12 @@ class Whitened:
             out = np.empty_like(white)
             for start, stop in pairwise(self._bounds):
                 out[start:stop] = self._lower[int(stop - start)] @ white[start:stop]
-        return out if self.campaign.scale is None else out * self._over(white)
+        return out if self.campaign.scale is None else out * _beside(self.campaign.scale, white)
 
-    def _over(self, columns: NDArray[Precision]) -> NDArray[Precision]:
-        """The scale of each row, shaped to go with columns (n, …)."""
-        scale = np.ones(len(columns)) if self.campaign.scale is None else self.campaign.scale
-        return scale.astype(columns.dtype).reshape(-1, *(1,) * (columns.ndim - 1))
+
+def _beside(scale: Floats, columns: NDArray[Precision]) -> NDArray[Precision]:
+    """The scale of each row, (n,), shaped to go with columns (n, …)."""
+    return scale.astype(columns.dtype).reshape(-1, *(1,) * (columns.ndim - 1))
 
 
 class Projection:

@@ -160,6 +160,8 @@ def noise_with_speed(left_um: Floats, campaign: CampaignRows) -> Floats | None:
         return None
     size, speed = np.abs(left_um), np.abs(campaign.columns["velocity_mm_s"])
     size = np.minimum(size, FAR * float(np.median(size)))
+    if not np.any(size):
+        return None
     scales = 1.0 + GROWTHS[:, None] * speed / float(np.max(speed))
     worth = -len(size) * np.log(np.mean(size / scales, axis=1) / np.mean(size)) - np.sum(np.log(scales), axis=1)
     best = int(np.argmax(worth))

@@ -1,9 +1,9 @@
 """The findings of a diagnosis as sentences in the page's language, from the effect, its form, and its figures with
 units.
 
-A sentence is stored under `explain.<effect>.<form>` in the texts; else that of the simpler form counts (without its fixed point where
-that is not known, without the shape of a zone), or `explain.<effect>.any`. A user's own effect has none: its own English sentence is
-shown.
+A sentence is stored under `explain.<effect>.<form>` in the texts; else that of the simpler form counts (without its fixed point
+where that is not known, an even zone as any zone), or `explain.<effect>.any`. A user's own effect has none: its own English
+sentence is shown.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
     form = re.sub(r"\W+", "_", finding.form)
     known = {name for name, _, _ in finding.parameters}
     effect = "summed" if known == {"rms_um"} else finding.effect
-    simpler = form.removesuffix("_about_a_fixed_point"), form.partition("_")[2]
+    simpler = form.removesuffix("_about_a_fixed_point"), form.removeprefix("flat_")
     keys = [f"explain.{effect}.{last}" for last in (form, *simpler, "any")]
     inputs = [t.said(name) for name in finding.inputs]
     places: dict[str, str] = {"input": inputs[0] if inputs else "–", "inputs": " · ".join(inputs)}

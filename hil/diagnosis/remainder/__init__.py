@@ -113,12 +113,12 @@ def left_over(
 def _same(known: tuple[str, ...], equivalent: dict[str, tuple[str, ...]], carrier: Carried) -> bool:
     """Whether a carrier's columns are those of one found before, or move together with them: then both are parts of one cause."""
     columns = carrier.block.columns
-    return len(columns) == len(known) and all(
-        any(
+    return len(columns) == len(known) and any(
+        all(
             one == other or one in equivalent.get(other, ()) or other in carrier.equivalent.get(one, ())
-            for other in known
+            for one, other in zip(columns, order, strict=True)
         )
-        for one in columns
+        for order in itertools.permutations(known)
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -166,7 +166,7 @@ def fitted(linear: LinearCampaign, y: Floats, beside: Extra, noise: Noise, parts
     if not parts:
         return []
     null = Null.of(linear, y, Extra(beside.free, np.hstack([*parts, beside.random])), noise)
-    alone = Null.of(linear, y, beside, noise).scaled_as(null)
+    alone = replace(null, beside=beside)
     ratios = [evidence_of(alone.best, part)[1] for part in parts]
     parts = [part * math.sqrt(ratio) for part, ratio in zip(parts, ratios, strict=True)]
     projection = alone.plus(np.hstack(parts)).best

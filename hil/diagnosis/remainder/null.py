@@ -34,13 +34,12 @@ class Null:
     """A campaign of weighted rows with the effects found.
 
     linear: table and offsets; y: errors, µm, (n,); beside: columns of the effects
-    scale: relative standard deviation of the noise of each row, (n,); noise: of highest evidence; others: those nearly as good
+    noise: of highest evidence; others: those nearly as good
     """
 
     linear: LinearCampaign
     y: Floats
     beside: Extra
-    scale: Floats
     noise: Noise
     others: tuple[Noise, ...]
 
@@ -66,15 +65,17 @@ class Null:
         good = sorted(
             (t for t in worth if t != top and worth[t] > worth[top] - policy().as_good), key=lambda t: -worth[t]
         )
-        return cls(weighted, y, beside, scale, top, tuple(good[:MOST_MODELS]))
+        return cls(weighted, y, beside, top, tuple(good[:MOST_MODELS]))
+
+    @property
+    def scale(self) -> Floats:
+        """Relative standard deviation of the noise of each row, (n,)."""
+        scale = self.linear.campaign.scale
+        return np.ones(len(self.y)) if scale is None else scale
 
     def plus(self, random: Floats) -> Null:
         """With further random columns of unit variance ratio, (n, r), in µm."""
         return replace(self, beside=Extra(self.beside.free, np.hstack([random, self.beside.random])))
-
-    def scaled_as(self, other: Null) -> Null:
-        """With the scale of the rows and the noise model of another null, without its columns."""
-        return replace(other, y=self.y, beside=self.beside)
 
     def under(self, noise: Noise) -> Projection:
         """Everything of the null projected out, under one of its noise models."""

@@ -203,8 +203,7 @@ def rank(
     rough = _rough(conditional, noise)
     if not rough or (may_become_significant is not None and not any(may_become_significant(r) for r in rough)):
         return ()
-    best = _enriched(conditional, _profiled(conditional, _refined(conditional, rough), noise))
-    return tuple(r for r in best if not r.choice.effect.is_exceeded(r.choice.form, r.choice.theta))
+    return _enriched(conditional, _profiled(conditional, _refined(conditional, rough), noise))
 
 
 def _rough(conditional: ConditionalSearch, noise: Noise) -> list[Ranked]:
@@ -283,18 +282,23 @@ def _penalty(choice: Choice, conditional: ConditionalSearch, noise: Noise) -> fl
 
 
 def _enriched(conditional: ConditionalSearch, ranked: Sequence[Ranked]) -> tuple[Ranked, ...]:
-    """The first few again with their refining forms."""
-    out = list(ranked)
+    """The first few again with their refining forms; without what is at its bound, where the records want more than the effect is."""
+    out: list[Ranked] = []
     effort, refining = conditional.searcher.effort, conditional.searcher.candidates.refining
-    for i, r in enumerate(ranked[: effort.rich]):
-        more = richer(r.choice, refining[r.effect]) if r.evidence > ranked[0].evidence - 60.0 else []
-        if not more:
-            continue
-        projection = conditional.projection(r.noise)
-        for choice, gain in refine(projection, _best_of_each_form(projection, more), effort.rounds):
-            value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - policy().richer
-            if value > out[i].evidence:
-                out[i] = Ranked(choice, value, r.noise)
+    tried = 0
+    for r in ranked:
+        best = None if r.choice.effect.is_exceeded(r.choice.form, r.choice.theta) else r
+        if tried < effort.rich and r.evidence > ranked[0].evidence - 60.0:
+            tried += best is not None
+            more = richer(r.choice, refining[r.effect])
+            projection = conditional.projection(r.noise)
+            for choice, gain in refine(projection, _best_of_each_form(projection, more), effort.rounds) if more else ():
+                value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - policy().richer
+                exceeded = choice.effect.is_exceeded(choice.form, choice.theta)
+                if not exceeded and value > (-math.inf if best is None else best.evidence):
+                    best = Ranked(choice, value, r.noise)
+        if best is not None:
+            out.append(best)
     return tuple(sorted(out, key=lambda r: -r.evidence))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +13,15 @@ from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import CampaignRows, campaign_of, prepare
+from hil.diagnosis.diagnosing import _of_equal_rows, beyond_noise, predicted_um
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection, bayes_factor, random_gain
 from hil.diagnosis.noise.noise_fit import fit_noise, noise_with_speed
+from hil.diagnosis.noise.repeats import PureError
+from hil.diagnosis.result import NoiseParts
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import Setting
+from hil.diagnosis.search.searcher import Searcher
+from hil.effects import Estimate
 from hil.effects.history import complete
 
 CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
@@ -186,6 +194,28 @@ def test_noise_that_does_not_is_left(seed: int) -> None:
     far[2] = 30.0  # one row at the highest speed far off
     assert noise_with_speed(far, at_speeds(speed)) is None
     assert noise_with_speed(rng.normal(size=240) * (1.0 + np.arange(240)), at_speeds(np.zeros(240))) is None
+
+
+def test_sizes_in_um_count_every_row_alike_and_repeats_by_their_own_noise() -> None:
+    """Rows at rest are repeated, half of all; at speed the noise is f times as large: the whole is √((1 + f²) / 2) of that at rest."""
+    scale = np.where(np.arange(N) % 2, 5.0, 1.0)
+    scale = scale / np.sqrt(np.mean(scale**2))
+    weighted = replace(CAMPAIGN, scale=scale)
+    chosen = [
+        SimpleNamespace(
+            last=SimpleNamespace(searcher=Searcher(Setting.free(rows), enumerate_candidates(rows, [])), noise=NOISES[0])
+        )
+        for rows in (CAMPAIGN, weighted)
+    ]
+    course = COLUMNS[:, :1]
+    alike = [float(_of_equal_rows(one).normal(course)[0][0, 0]) for one in chosen]
+    assert alike[1] == pytest.approx(alike[0])
+    of_rest = 1.0 / math.sqrt((1.0 + 25.0) / 2.0)
+    parts = NoiseParts(2.0, 0.0, 0.0, 0.0)  # all rows
+    floor = PureError(Estimate(2.0 * of_rest, 0.01), 30, "repeats", np.arange(30))
+    assert predicted_um(floor, parts, 300, 0.0, alike=of_rest) == pytest.approx(2.0)
+    assert not list(beyond_noise(floor, parts, 2.0, 2.0, 300, alike=of_rest))
+    assert len(list(beyond_noise(floor, parts, 2.0, 2.0, 300))) == 1
 
 
 def test_the_noise_model_found_is_the_best_of_its_neighbourhood() -> None:

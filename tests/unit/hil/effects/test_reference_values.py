@@ -597,6 +597,18 @@ def test_growth_that_changes_along_the_travel() -> None:
     assert off.parameters["fixed_point_mm"].value == pytest.approx(
         200.0 + (-12.0 + math.sqrt(144.0 + 0.08 * 1160.0)) / 0.04
     )
+    for ppm, change, bad in (
+        (12.0, 9.9, False),
+        (12.0, -10.1, True),
+        (30.0, 5.1, True),
+        (30.0, -4.9, False),
+    ):  # 2 to 35 ppm/K
+        ends = replace(found, coefficients=(ppm, -2.4, change))
+        assert (found.effect.implausible(ends) is not None) is bad, (ppm, change)
+    turning = replace(
+        found, coefficients=(12.0, -1.2, 12.0)
+    )  # it does not grow at 100 mm, where it is zero: no quotient by that
+    assert "fixed_point_mm" not in turning.parameters
     away = replace(found, coefficients=(12.0, 9.0, 4.0))  # 11400 + 12 (x - 200) + 0.02 (x - 200)² is nowhere zero
     assert "fixed_point_mm" not in away.parameters
 

@@ -83,12 +83,69 @@ def test_a_course_without_noise_stays(exact: np.ndarray) -> None:
 
 @pytest.mark.parametrize(
     "time_s",
-    [np.arange(8) * 5.0, np.full(40, 7.0), np.concatenate([np.arange(30.0), np.arange(30.0)])],
-    ids=["too few", "one moment", "a clock that starts again"],
+    [np.arange(8) * 5.0, np.full(40, 7.0), np.concatenate([np.arange(9.0), np.arange(9.0)])],
+    ids=["too few", "one moment", "too few before a clock starts again"],
 )
 def test_without_a_course_of_time_readings_stay(time_s: np.ndarray) -> None:
     reading = 20.0 + np.random.default_rng(7).normal(0.0, NOISE_K, len(time_s))
     assert np.array_equal(without_noise(time_s, reading), reading)
+
+
+def test_where_a_clock_begins_anew_each_stretch_counts_by_itself() -> None:
+    rng, time_s = np.random.default_rng(11), np.arange(60) * 5.0
+    first, second = (level + rng.normal(0.0, NOISE_K, 60) for level in (20.0, 25.0))
+    found = without_noise(np.tile(time_s, 2), np.concatenate([first, second]))
+    apart = [without_noise(time_s, one) for one in (first, second)]
+    assert np.array_equal(found, np.concatenate(apart))
+    assert rms(found[:60] - 20.0) < 0.5 * NOISE_K
+
+
+@pytest.mark.parametrize("apart_s", [1e-9, 1e-6, 1e-4, 1e-3, 0.1])
+def test_rows_that_nearly_coincide_do_no_harm(apart_s: float) -> None:
+    """Wherever such a pair lies, also across a border of what is averaged."""
+    rng, time_s = np.random.default_rng(12), np.arange(100) * 10.0
+    for shift_s in rng.uniform(0.0, 10.0, 20):
+        pairs = np.sort(np.concatenate([time_s, time_s[5::9] + shift_s, time_s[5::9] + shift_s + apart_s]))
+        reading = 20.0 + pairs / 1000.0 + rng.normal(0.0, NOISE_K, len(pairs))
+        assert rms(without_noise(pairs, reading) - 20.0 - pairs / 1000.0) < 0.5 * NOISE_K
+
+
+def test_a_pause_of_a_day_blurs_nothing() -> None:
+    """Two sessions that warm up by 0.2 mK/s, one day apart, and a row alone a day later."""
+    one = np.arange(300) * 10.0
+    time_s = np.concatenate([one, 86400.0 + one, [2 * 86400.0]])
+    true_c = np.concatenate([20.0 + 2e-4 * one, 21.0 + 2e-4 * one, [20.0]])
+    found = without_noise(time_s, true_c + np.random.default_rng(13).normal(0.0, 0.005, len(time_s)))
+    assert rms(found - true_c) < 0.004
+    assert np.max(np.abs(found - true_c)) < 0.02
+
+
+@pytest.mark.parametrize("leap_k", [0.1, 1.0, 10.0])
+def test_a_temperature_that_leaps_is_known_no_worse(leap_k: float) -> None:
+    time_s = np.arange(ROWS) * 5.0
+    true_c = 20.0 + leap_k * (time_s > 700.0)
+    reading = true_c + np.random.default_rng(14).normal(0.0, 0.02, ROWS)
+    assert rms(without_noise(time_s, reading) - true_c) <= rms(reading - true_c)
+
+
+def test_one_wrong_reading_leaves_the_others_as_they_are() -> None:
+    reading = 20.0 + np.random.default_rng(17).normal(0.0, 0.01, ROWS)
+    reading[100] = 20.6
+    assert np.array_equal(without_noise(np.arange(ROWS) * 5.0, reading), reading)
+
+
+def test_a_reading_that_is_held_counts_once() -> None:
+    """One per pass of 40 rows: 16 independent readings, not 640; and a thermometer that rounds holds nothing."""
+    time_s = np.arange(640) * 2.0
+    true_c = 20.0 + time_s / 2000.0
+    off = []
+    for seed in range(8):
+        held = np.repeat(true_c[20::40] + np.random.default_rng(seed).normal(0.0, NOISE_K, 16), 40)
+        off.append((rms(without_noise(time_s, held) - true_c), rms(held - true_c)))
+    now, before = np.mean(off, axis=0)
+    assert now < 0.65 * before
+    rounded = np.round((true_c + np.random.default_rng(16).normal(0.0, NOISE_K, 640)) * 10.0) / 10.0
+    assert rms(without_noise(time_s, rounded) - true_c) < 0.3 * NOISE_K
 
 
 def test_many_rows_take_no_longer_than_few_and_are_as_well_known() -> None:
@@ -108,7 +165,7 @@ def test_rows_are_completed_once_and_only_the_machines_temperatures_are_touched(
     assert np.array_equal(complete(full)["temp_screw_c"], full["temp_screw_c"])
 
 
-READINGS = st.lists(st.tuples(st.floats(0.0, 300.0), st.floats(-20.0, 80.0)), min_size=1, max_size=30)
+READINGS = st.lists(st.tuples(st.floats(1.0, 300.0), st.floats(-20.0, 80.0)), min_size=1, max_size=30)
 
 
 @given(READINGS, st.floats(1.0, 5000.0))
@@ -118,22 +175,32 @@ def test_the_course_of_a_sensor_ends_where_the_lag_over_all_its_readings_does(
     time_s, value = np.cumsum([step for step, _ in said]), np.array([one for _, one in said])
     course = Course()
     for i, (now_s, one) in enumerate(zip(time_s, value, strict=True)):
-        course.note({"time_s": float(now_s), "temp_screw_c": float(one), "load_kg": 3.0})
+        course.note(float(now_s), {"temp_screw_c": float(one), "load_kg": 3.0})
         if i % 3 == 0:  # asked in between or not, it is the same
             course.now("temp_screw_c", tau_s)
-    assert course.now("temp_screw_c", tau_s) == pytest.approx(lagged(time_s, value, tau_s)[-1], abs=1e-9)
+    assert course.now("temp_screw_c", tau_s) == pytest.approx(lagged(time_s, value, tau_s)[-1], abs=1e-6)
     assert course.now("load_kg", tau_s) is None
 
 
-def test_a_clock_that_begins_anew_begins_a_new_course_and_no_value_is_none() -> None:
+def test_a_course_has_no_value_before_the_first_reading_and_none_of_a_sensor_that_fails() -> None:
     course = Course()
     assert course.now("temp_screw_c", 60.0) is None
     for now_s, value in ((0.0, 20.0), (60.0, 30.0), (120.0, float("nan"))):
-        course.note({"time_s": now_s, "temp_screw_c": value})
-    risen = course.now("temp_screw_c", 60.0)
-    assert risen == pytest.approx(20.0 + 10.0 * np.exp(-1.0))  # a ramp of 10 K over one time constant
-    course.note({"time_s": 5.0, "temp_screw_c": 25.0})
-    assert course.now("temp_screw_c", 60.0) == 25.0
+        course.note(now_s, {"temp_screw_c": value})
+    assert course.now("temp_screw_c", 60.0) == pytest.approx(
+        20.0 + 10.0 * np.exp(-1.0)
+    )  # a ramp of 10 K over one time constant
+
+
+def test_the_course_of_days_stays_small_and_quick_readings_are_thinned() -> None:
+    course = Course()
+    for i in range(100_000):
+        course.note(i * 0.5, {"temp_screw_c": 20.0 + i / 10_000.0})
+    kept = course._said["temp_screw_c"]
+    assert len(kept) <= 20_001
+    assert kept[-1] == (49_999.5, 29.9999)
+    behind_k = 600.0 * 2e-4  # of a ramp, a lag is its time constant behind
+    assert course.now("temp_screw_c", 600.0) == pytest.approx(29.9999 - behind_k, abs=1e-4)
 
 
 @pytest.mark.parametrize("effect", ["thermal_drift", "thermal_expansion"])
