@@ -28,6 +28,8 @@ from hil.effects.warming import (
 )
 
 UNEVEN = "warming since the start, unlike along the travel"
+MOST_UM_PER_K = 60.0
+"""Five metres of steel, or two and a half of aluminium, grow by so much: no machine's origin moves farther with one kelvin."""
 POWERS = 4
 """Coefficients of the drift along the travel: Legendre orders 0 to 3."""
 
@@ -82,6 +84,11 @@ class ThermalDrift(Effect):
         if term.theta:
             found |= term.positive(0, f"lag_{time_unit(term)}")
         return found
+
+    def implausible(self, term: Term) -> str | None:
+        if term.form.name in (UNEVEN, *SINCE_START) or abs(term.coefficients[0]) <= MOST_UM_PER_K:
+            return None
+        return f"{term.coefficients[0]:.3g} µm/K is more than {MOST_UM_PER_K:g}: no part of a machine moves its origin so far"
 
     def explain(self, term: Term) -> str:
         if term.form.name in (UNEVEN, *SINCE_START) and not (seen := seen_in_rows(term)).determined:

@@ -34,6 +34,10 @@ FARTHEST = 6.0
 """Largest difference of a reading to the course, in standard deviations of the noise: beyond it something else happened, and the
 readings are taken as they are.
 """
+SPAN = 3.0
+"""Span of the course in standard deviations of the noise, from which it is known: a smaller one is little more than a line through the
+noise, which any drift would follow.
+"""
 FEWEST = 12
 """Moments below which the noise cannot be told from the course."""
 MOST_MOMENTS = 1000
@@ -53,7 +57,7 @@ STEPS = 16
 def without_noise(time_s: Floats, reading_c: Floats) -> Floats:
     """One temperature, °C, (n,), from its readings at times, s, (n,); where a clock begins anew, each stretch by itself.
 
-    The readings themselves where there are too few, or where their noise is more than `MOST_NOISE_K`.
+    The readings themselves where there are too few, or where their noise is more than `MOST_NOISE_K` or than the course spans.
     """
     begins = np.flatnonzero(np.diff(time_s) < 0.0) + 1
     if not len(begins):
@@ -73,7 +77,7 @@ def _without_noise(time_s: Floats, reading_c: Floats) -> Floats:
     if len(moments.time) < FEWEST:
         return reading_c
     best = max(_tried(moments), key=lambda one: one.worth, default=None)
-    if best is None or best.noise_k > MOST_NOISE_K:
+    if best is None or best.noise_k > MOST_NOISE_K or float(np.ptp(best.course)) < SPAN * best.noise_k:
         return reading_c
     course = mean_c + _straight_between(time, moments.time, best.course)
     off_k = np.abs(_straight_between(moments.time, moments.time, best.course) - moments.value) * np.sqrt(moments.count)

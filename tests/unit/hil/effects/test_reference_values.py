@@ -744,6 +744,9 @@ def test_drift_with_a_temperature_and_along_the_travel() -> None:
     plain = term("thermal_drift", "temperature", ["temp_head_c"], [2.0])
     assert values(plain.parameters) == {"coefficient_um_per_k": (2.0, 0.1)}
     assert "temp_head_c by 2 ± 0.2 µm/K" in plain.effect.explain(plain)
+    for um_per_k, bad in ((59.0, False), (-61.0, True)):  # five metres of steel
+        found = term("thermal_drift", "temperature", ["temp_head_c"], [um_per_k])
+        assert (found.effect.implausible(found) is not None) is bad
     lag = term("thermal_drift", "lagged temperature", ["temp_head_c", "time_s"], [2.0], (90.0,))
     assert values(lag.parameters) == {"coefficient_um_per_k": (2.0, 0.1), "lag_s": (90.0, 0.2)}
     assert "a lag of 90 ± 0.4 s by 2 ± 0.2 µm/K" in lag.effect.explain(lag)

@@ -93,11 +93,12 @@ def test_without_a_course_of_time_readings_stay(time_s: np.ndarray) -> None:
 
 def test_where_a_clock_begins_anew_each_stretch_counts_by_itself() -> None:
     rng, time_s = np.random.default_rng(11), np.arange(60) * 5.0
-    first, second = (level + rng.normal(0.0, NOISE_K, 60) for level in (20.0, 25.0))
+    line = np.linspace(0.0, 1.0, 60)
+    first, second = (level + line + rng.normal(0.0, NOISE_K, 60) for level in (20.0, 25.0))
     found = without_noise(np.tile(time_s, 2), np.concatenate([first, second]))
     apart = [without_noise(time_s, one) for one in (first, second)]
     assert np.array_equal(found, np.concatenate(apart))
-    assert rms(found[:60] - 20.0) < 0.5 * NOISE_K
+    assert rms(found[:60] - 20.0 - line) < 0.5 * NOISE_K
 
 
 @pytest.mark.parametrize("apart_s", [1e-9, 1e-6, 1e-4, 1e-3, 0.1])
@@ -128,9 +129,17 @@ def test_a_temperature_that_leaps_is_known_no_worse(leap_k: float) -> None:
     assert rms(without_noise(time_s, reading) - true_c) <= rms(reading - true_c)
 
 
+def test_a_line_through_noise_is_no_course() -> None:
+    """0.02 K over the record, with as much noise: smoothed it would be a line, which any drift with time follows."""
+    time_s = np.arange(48) * 6.0
+    reading = np.round(20.0 + time_s * 7e-5 + np.random.default_rng(18).normal(0.0, 0.02, 48), 2)
+    assert np.array_equal(without_noise(time_s, reading), reading)
+
+
 def test_one_wrong_reading_leaves_the_others_as_they_are() -> None:
-    reading = 20.0 + np.random.default_rng(17).normal(0.0, 0.01, ROWS)
-    reading[100] = 20.6
+    reading = np.linspace(20.0, 21.0, ROWS) + np.random.default_rng(17).normal(0.0, 0.01, ROWS)
+    assert not np.array_equal(without_noise(np.arange(ROWS) * 5.0, reading), reading)
+    reading[100] += 0.6
     assert np.array_equal(without_noise(np.arange(ROWS) * 5.0, reading), reading)
 
 
