@@ -106,12 +106,13 @@ class LocalWear(Effect):
         return found
 
     def explain(self, term: Term) -> str:
-        sign = " of opposite sign in the two directions" if split_name(term.form.name)[1] == REVERSAL else ""
+        shape, name = split_name(term.form.name)
+        sign = " of opposite sign in the two directions" if name == REVERSAL else ""
         place, width = f"{term.nonlinear(0)} mm", term.positive_text(1, "mm")
         where = {
             FADING: f"From {place} upwards, fading over {width}",
             RISING: f"Up to {place}, rising over {width}",
-        }.get(split_name(term.form.name)[0], f"Around {place}, with a half width of {width}")
+        }.get(shape, f"Around {place}, with a half width of {width}")
         return f"{where}, the error bulges by {term.coefficient(0)} µm{sign}: a worn or damaged zone."
 
 

@@ -63,12 +63,11 @@ class ThermalExpansion(Effect):
         travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         if not survey.has("target_mm"):
             return forms
-        about = [replace(f, name=f.name + ABOUT_A_POINT, constants={**f.constants, **travel}) for f in forms]
-        unlike = [
-            replace(f, name=f.name.removesuffix(ABOUT_A_POINT) + UNLIKE_ALONG + ABOUT_A_POINT, scan=False)
-            for f in about
-            if not is_since_start(f)
-        ]
+        free = [replace(f, constants={**f.constants, **travel}) for f in forms]
+        about = (replace(f, name=f.name + ABOUT_A_POINT) for f in free)
+        unlike = (
+            replace(f, name=f.name + UNLIKE_ALONG + ABOUT_A_POINT, scan=False) for f in free if not is_since_start(f)
+        )
         return (*forms, *about, *unlike)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
@@ -130,8 +129,8 @@ class ThermalExpansion(Effect):
     def implausible(self, term: Term) -> str | None:
         if is_about_a_point(term.form) and term.coefficients[0]:
             point = _zero_mm(term)
-            away = math.inf if point is None else abs(point - term.form.constants["centre_mm"])
-            if point is not None and away > FARTHEST * term.form.constants["half_span_mm"]:
+            travel = term.form.constants
+            if point is not None and abs(point - travel["centre_mm"]) > FARTHEST * travel["half_span_mm"]:
                 return f"a fixed point at {point:.4g} mm lies more than a travel outside the travel"
         if is_since_start(term.form):
             return None
@@ -142,7 +141,7 @@ class ThermalExpansion(Effect):
             return f"{growth:.3g} ppm/K: neither screw nor scale moves the axis back as it warms"
         if low <= growth - change and growth + change <= high:
             return None
-        said = f"{growth:.3g} ± {change:.3g}" if change else f"{growth:.3g}"
+        said = f"{growth - change:.3g} to {growth + change:.3g}" if change else f"{growth:.3g}"
         return f"{said} ppm/K lies outside the {low:g} to {high:g} ppm/K of machine materials"
 
 

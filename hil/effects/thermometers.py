@@ -80,7 +80,7 @@ def _without_noise(time_s: Floats, reading_c: Floats) -> Floats:
     if best is None or best.noise_k > MOST_NOISE_K or float(np.ptp(best.course)) < SPAN * best.noise_k:
         return reading_c
     course = mean_c + _straight_between(time, moments.time, best.course)
-    off_k = np.abs(_straight_between(moments.time, moments.time, best.course) - moments.value) * np.sqrt(moments.count)
+    off_k = np.abs(best.course - moments.value) * np.sqrt(moments.count)
     return course if float(np.max(off_k)) <= FARTHEST * max(best.noise_k, LEAST_NOISE_K) else reading_c
 
 
