@@ -1,7 +1,7 @@
 """Cyclic error: a sine of the position, from screw, coupling, encoder or the interferometer's sub-division.
 
-error = amplitude · sin(2π x / period + phase), x the target in mm, phase in rad. Refining forms add the second harmonic
-(period / 2) or let the amplitude change along the travel.
+error = amplitude · sin(2π x / period + phase), x the target in mm, phase in rad. Refining forms add the second or third harmonic
+(period / 2, period / 3), let the amplitude change along the travel, or both.
 """
 
 from __future__ import annotations
@@ -17,11 +17,15 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, No
 from hil.effects.survey import Survey
 
 FUNDAMENTAL = "fundamental"
-HARMONICS = "with second harmonic"
+HARMONICS = {"with second harmonic": 2, "with third harmonic": 3}
+"""Order of the harmonic that a form has beside the fundamental."""
 MODULATED = "amplitude changing along the travel"
 PER_DIRECTION = "different in each direction"
-WAVES = {FUNDAMENTAL: 2, HARMONICS: 4, MODULATED: 4, PER_DIRECTION: 4}
-"""Columns of the basis: a sine and a cosine, once or twice."""
+BOTH = {f"{name}, {MODULATED}": order for name, order in HARMONICS.items()}
+HARMONIC = {**HARMONICS, **BOTH}
+CHANGING = (MODULATED, *BOTH)
+"""Forms whose fundamental changes along the travel."""
+ORDINAL = {2: "second", 3: "third"}
 
 LINES = 1500
 """Most frequencies of the even scan."""
@@ -72,8 +76,8 @@ class Cyclic(Effect):
         inputs = ("target_mm",)
         return (
             Form(self.id, FUNDAMENTAL, inputs, {}, (period,), grid),
-            Form(self.id, HARMONICS, inputs, {}, (period,), grid, scan=False),
-            Form(self.id, MODULATED, inputs, constants, (period,), grid, scan=False),
+            *(Form(self.id, name, inputs, {}, (period,), grid, scan=False) for name in HARMONICS),
+            *(Form(self.id, name, inputs, constants, (period,), grid, scan=False) for name in CHANGING),
             Form(self.id, PER_DIRECTION, (*inputs, "direction"), {}, (period,), grid, scan=False),
         )
 
@@ -83,39 +87,38 @@ class Cyclic(Effect):
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
         x = columns["target_mm"][:, None]
         angle = 2 * np.pi * x / np.array(thetas)[:, 0]
-        waves = np.empty((*angle.shape, WAVES[form.name]))
-        np.sin(angle, out=waves[..., 0])
-        np.cos(angle, out=waves[..., 1])
-        if form.name == HARMONICS:
-            np.sin(2 * angle, out=waves[..., 2])
-            np.cos(2 * angle, out=waves[..., 3])
-        elif form.name == MODULATED:
+        waves = np.empty((*angle.shape, 2 * len(_orders(form)) + 2 * _changes(form)))
+        for i, order in enumerate(_orders(form)):
+            np.sin(order * angle, out=waves[..., 2 * i])
+            np.cos(order * angle, out=waves[..., 2 * i + 1])
+        if form.name in CHANGING:
             u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
-            np.multiply(u[..., None], waves[..., :2], out=waves[..., 2:])
+            np.multiply(u[..., None], waves[..., :2], out=waves[..., -2:])
         elif form.name == PER_DIRECTION:
-            np.multiply(columns["direction"][:, None, None], waves[..., :2], out=waves[..., 2:])
+            np.multiply(columns["direction"][:, None, None], waves[..., :2], out=waves[..., -2:])
         return waves.reshape(len(angle), -1)
 
     def wave(
         self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
     ) -> Wave | None:
         per_mm = 2 * math.pi / theta[0]
-        (sine, cosine), more = coefficients[:2], coefficients[2:]
-        if form.name == FUNDAMENTAL:
-            return _wave(per_mm, sine, cosine)
+        sine, cosine = coefficients[:2]
         if form.name == PER_DIRECTION:
-            return _wave(per_mm, sine + row["direction"] * more[0], cosine + row["direction"] * more[1])
-        first, second = _wave(per_mm, sine, cosine), _wave(per_mm * (2 if form.name == HARMONICS else 1), *more)
-        if form.name == HARMONICS:
-            return Wave(lambda x: first.at_um(x) + second.at_um(x), first.steepest + second.steepest)
+            sine, cosine = sine + row["direction"] * coefficients[2], cosine + row["direction"] * coefficients[3]
+        waves = [_wave(per_mm, sine, cosine)]
+        if form.name in HARMONIC:
+            waves.append(_wave(per_mm * HARMONIC[form.name], *coefficients[2:4]))
+        if form.name not in CHANGING:
+            return Wave(lambda x: sum(one.at_um(x) for one in waves), sum(one.steepest for one in waves))
+        change = _wave(per_mm, *coefficients[-2:])
         centre, half_span = form.constants["centre_mm"], form.constants["half_span_mm"]
-        return Wave(lambda x: first.at_um(x) + (x - centre) / half_span * second.at_um(x), math.inf)
+        return Wave(lambda x: sum(one.at_um(x) for one in waves) + (x - centre) / half_span * change.at_um(x), math.inf)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"period_mm": period_mm(term), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
-        if term.form.name == HARMONICS:
-            found["second_harmonic_um"] = term.amplitude(2, 3)
-        elif term.form.name == MODULATED:
+        if term.form.name in HARMONIC:
+            found[f"{ORDINAL[HARMONIC[term.form.name]]}_harmonic_um"] = term.amplitude(2, 3)
+        if term.form.name in CHANGING:
             phase = term.derived(lambda c, theta: _phase(term.form, c, float(theta[0])))
             found["phase"] = replace(phase, value=math.remainder(phase.value, 2.0 * math.pi))
             found["change_to_the_ends_um"] = term.derived(lambda c, _: abs(_along(c)[0]))
@@ -131,6 +134,16 @@ class Cyclic(Effect):
         )
 
 
+def _orders(form: Form) -> tuple[int, ...]:
+    """Orders of the waves of a form, the fundamental first."""
+    return (1, HARMONIC[form.name]) if form.name in HARMONIC else (1,)
+
+
+def _changes(form: Form) -> bool:
+    """Whether the fundamental has a second pair of columns, along the travel or for the direction."""
+    return form.name in CHANGING or form.name == PER_DIRECTION
+
+
 def _wave(per_mm: float, sine: float, cosine: float) -> Wave:
     """sine · sin(per_mm · x) + cosine · cos(per_mm · x), as one sine."""
     size, phase, sin = math.hypot(sine, cosine), math.atan2(cosine, sine), math.sin
@@ -143,7 +156,7 @@ def period_mm(term: Term) -> Estimate:
     Where the amplitude changes along the travel, both waves have a change of their own: that of the phase is a change of the
     period, and only the two together are determined.
     """
-    if term.form.name != MODULATED:
+    if term.form.name not in CHANGING:
         return term.nonlinear(0)
     return term.derived(lambda c, theta: _period(term.form, c, float(theta[0])))
 
@@ -151,8 +164,9 @@ def period_mm(term: Term) -> Estimate:
 def _along(coefficients: Floats) -> tuple[float, float]:
     """Change of amplitude (µm) and of phase (rad) from mid-travel to its end, of an amplitude that changes along the travel."""
     size = math.hypot(coefficients[0], coefficients[1])
-    in_phase = float(coefficients[:2] @ coefficients[2:4]) / size
-    across = float(coefficients[0] * coefficients[3] - coefficients[1] * coefficients[2]) / size
+    change = coefficients[-2:]
+    in_phase = float(coefficients[:2] @ change) / size
+    across = float(coefficients[0] * change[1] - coefficients[1] * change[0]) / size
     return in_phase, across / size
 
 

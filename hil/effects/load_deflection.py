@@ -1,7 +1,8 @@
-"""Load deflection: the axis deflects under load or drive torque, as an offset, with direction, or with position.
+"""Load deflection: the axis deflects under load or drive torque, as an offset, with direction, with position, or the more the
+farther it is from the point where it is held.
 
-F the load or torque; forms F, d·F, u·F, d·u·F with u the position from -1 to 1; refining forms combine two of them or
-add a quadratic term.
+F the load or torque; forms F, d·F, u·F, d·u·F with u the position from -1 to 1, and F with u·F: a screw gives way in proportion to
+its free length from the bearing that holds it. Refining forms combine two others or add a quadratic term.
 """
 
 from __future__ import annotations
@@ -15,12 +16,17 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Ri
 from hil.effects.survey import Survey
 
 UNITS = {"load_kg": "kg", "torque_percent": "%"}
-SIMPLE = ("offset", "with direction", "with position", "with direction and position")
+FROM_A_POINT = "from a stiff point"
+SIMPLE = ("offset", "with direction", "with position", "with direction and position", FROM_A_POINT)
+KNOWN_TO = 3.0
+"""Standard deviations by which the change along the travel must differ from zero for the point where it is zero to be given."""
 ALONG, CURVED, CURVED_REVERSAL = "offset and with direction and position", "curved", "curved with direction"
 
 
 class LoadDeflection(Effect):
-    """error_um = c·F (also d·F, u·F, d·u·F, (F - mean)²), F in kg or % of rated torque, c in µm per kg or per %."""
+    """error_um = c·F (also d·F, u·F, d·u·F, (F - mean)²), F in kg or % of rated torque, c in µm per kg or per %; or c·(x - x₀)·F,
+    as F and u·F, so that both are linear.
+    """
 
     id: ClassVar[str] = "load_deflection"
     title: ClassVar[str] = "deflection under load or torque"
@@ -52,6 +58,7 @@ class LoadDeflection(Effect):
             "with direction": [d * force],
             "with position": [u * force],
             "with direction and position": [d * u * force],
+            FROM_A_POINT: [force, u * force],
             ALONG: [force, d * u * force],
             CURVED: [force, bend],
             CURVED_REVERSAL: [d * force, d * bend],
@@ -68,10 +75,30 @@ class LoadDeflection(Effect):
             ALONG: ["compliance", "compliance_with_direction_and_position"],
             CURVED: ["compliance", "curvature"],
             CURVED_REVERSAL: ["compliance_with_direction", "curvature"],
+            FROM_A_POINT: ["compliance_at_mid_travel", "compliance_with_position"],
         }.get(term.form.name, [f"compliance_{term.form.name.replace(' ', '_')}"])
-        return {f"{name}_um_per_{unit}": term.coefficient(i) for i, name in enumerate(names)}
+        found = {f"{name}_um_per_{unit}": term.coefficient(i) for i, name in enumerate(names)}
+        point = stiff_point_mm(term)
+        return found if point is None else found | {"stiff_point_mm": point}
 
     def explain(self, term: Term) -> str:
         source = term.form.inputs[0]
+        unit = UNITS.get(source, "unit")
+        if term.form.name == FROM_A_POINT:
+            point = stiff_point_mm(term)
+            where = "" if point is None else f": it is held at {point} mm"
+            return (
+                f"The axis gives way with {source}, by {term.coefficient(0)} µm per {unit} in mid-travel and"
+                f" {term.coefficient(1)} µm per {unit} more at its upper end{where}."
+            )
         how = "" if term.form.name == "offset" else f", {term.form.name}"
-        return f"The axis gives way with {source}{how}: {term.coefficient(0)} µm per {UNITS.get(source, 'unit')}."
+        return f"The axis gives way with {source}{how}: {term.coefficient(0)} µm per {unit}."
+
+
+def stiff_point_mm(term: Term) -> Estimate | None:
+    """Where a load moves the axis by nothing, with its first-order uncertainty; None where the form or the rows know no such point."""
+    change = term.coefficient(1) if term.form.name == FROM_A_POINT else None
+    if change is None or abs(change.value) <= KNOWN_TO * change.std:
+        return None
+    centre, half_span = term.form.constants["centre_mm"], term.form.constants["half_span_mm"]
+    return term.derived(lambda c, _: centre - half_span * float(c[0] / c[1]))

@@ -15,6 +15,7 @@ import contextlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,6 +51,8 @@ RESOLVED = 2.5
 """Median change from one reading to the next, in the smallest one, from which equal readings are one that was held, and not rounded
 alike.
 """
+KEPT = 24
+"""Courses that are kept: a diagnosis completes the same columns some forty times, and a machine has six thermometers or so."""
 STEPS = 16
 """Values of λ tried, in the time over which they smooth: from half an interval to a quarter of the record."""
 
@@ -59,11 +62,20 @@ def without_noise(time_s: Floats, reading_c: Floats) -> Floats:
 
     The readings themselves where there are too few, or where their noise is more than `MOST_NOISE_K` or than the course spans.
     """
-    begins = np.flatnonzero(np.diff(time_s) < 0.0) + 1
-    if not len(begins):
-        return _without_noise(time_s, reading_c)
-    parts = zip(np.split(time_s, begins), np.split(reading_c, begins), strict=True)
-    return np.concatenate([_without_noise(*part) for part in parts])
+    return _known(
+        np.ascontiguousarray(time_s, np.float64).tobytes(), np.ascontiguousarray(reading_c, np.float64).tobytes()
+    )
+
+
+@lru_cache(maxsize=KEPT)
+def _known(time_s: bytes, reading_c: bytes) -> Floats:
+    """The same of an array's bytes, made once for the same readings."""
+    time, reading = np.frombuffer(time_s), np.frombuffer(reading_c)
+    begins = np.flatnonzero(np.diff(time) < 0.0) + 1
+    parts = zip(np.split(time, begins), np.split(reading, begins), strict=True)
+    course = np.concatenate([_without_noise(*part) for part in parts])
+    course.flags.writeable = False
+    return course
 
 
 def _without_noise(time_s: Floats, reading_c: Floats) -> Floats:

@@ -18,8 +18,8 @@ from hil.diagnosis.remainder.null import Null
 from hil.diagnosis.remainder.scan import Variable, variables
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.search.select import of_a_wander
 from hil.diagnosis.table import DeclaredShape
-from hil.effects.air import SENSORS
 
 
 def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[str]:
@@ -41,10 +41,9 @@ def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[s
             continue
         # a smooth function of the time is any slow course, and so no other cause by itself
         own = {"target_mm", "direction", time}.union(*(choice.form.inputs for choice in mine))
-        # nor is a function of the time and of what changes with it one beside a reading that wanders
-        slow = {time, *campaign.survey.temperatures, *SENSORS} if any(choice.form.shrunk for choice in mine) else own
+        slow = of_a_wander(mine, campaign.survey)
         worth = {names: blocks.evidence_of(null, design)[0] for names, design in designs.items()}
-        its_own = {names for names in worth if set(names) <= own or (time in names and set(names) <= slow)}
+        its_own = {names for names in worth if set(names) <= own or slow(names)}
         of_others = max([value for names, value in worth.items() if names not in its_own], default=-math.inf)
         # a form that is not quite the machine's loses to functions of its own columns, and is no other cause
         of_its_own = max([value for names, value in worth.items() if names in its_own], default=0.0)

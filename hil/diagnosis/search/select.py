@@ -4,7 +4,7 @@ in this order.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -19,6 +19,8 @@ from hil.diagnosis.search.rank import rank
 from hil.diagnosis.search.search import Judge, Stage, search
 from hil.diagnosis.search.searcher import Memory, Searcher, memory
 from hil.diagnosis.search.structure import Catalogue
+from hil.effects.air import SENSORS
+from hil.effects.survey import Survey
 
 Floats = NDArray[np.float64]
 
@@ -163,8 +165,11 @@ def _foreign(
     for group in _groups(chosen, fixed):
         rest = [choice for i, choice in enumerate(chosen) if i not in group]
         own = {"target_mm", "direction"}.union(*(chosen[i].form.inputs for i in group))
+        slow = of_a_wander([chosen[i] for i in group], searcher.linear.campaign.survey)
         base, calm = searcher.profiled_evidence(rest, noise)
-        of_other_columns = np.array([not set(s.columns) <= own for s in catalogue.structures], dtype=np.bool_)
+        of_other_columns = np.array(
+            [not (set(s.columns) <= own or slow(s.columns)) for s in catalogue.structures], dtype=np.bool_
+        )
         if not np.any(of_other_columns):
             continue
         best: ForeignStructure | None = None
@@ -185,6 +190,12 @@ def _foreign(
             (name,) = names
             odds[name] = max(odds.get(name, best), best, key=lambda foreign_structure: foreign_structure.log_odds)
     return odds, list(chosen), None
+
+
+def of_a_wander(choices: Sequence[Choice], survey: Survey) -> Callable[[Iterable[str]], bool]:
+    """Whether some columns are the time and what changes with it, for a reading that wanders: their functions are no other cause."""
+    slow = {survey.time_column, *survey.temperatures, *SENSORS} if any(c.form.shrunk for c in choices) else set()
+    return lambda columns: survey.time_column in columns and set(columns) <= slow
 
 
 def _contests(

@@ -21,6 +21,7 @@ from scipy.stats import spearmanr
 from study.grammar.environment import Floats
 from study.grammar.equivalence import always_there, not_wrong, right_names, true_parameters
 from study.grammar.machine import Campaign, Drawn, draw
+from study.grammar.physics import slopes
 from study.grammar.reference import Reference, left_beside
 from study.grammar.twins import carriers
 from support.catalogue import NAMES
@@ -56,6 +57,7 @@ def outcome(lot: str, seed: int) -> Outcome:
         true_left = drawn.fresh.error_um - drawn.fresh.caused_um - reference.table_um(drawn.fresh.state)
         found["fresh_true_um"] = _rms(true_left, free)
         found["fresh_fitted_um"] = _rms(_fitted_left(drawn, reference), free)
+        found["fresh_all_fitted_um"] = _rms(_fitted_left(drawn, reference, every_parameter=True), free)
         for name in ("fresh", "table"):
             found[f"{name}_um"] = _rms(said.pop(name), free)
         found["fresh_noise_um"] = drawn.noise.sd_um(drawn.fresh.state)
@@ -76,16 +78,19 @@ def _free_of_set_up(drawn: Drawn) -> Floats:
     return np.column_stack(columns) if columns else np.zeros((len(drawn.fresh.state), 0))
 
 
-def _fitted_left(drawn: Drawn, reference: Reference) -> Floats:
-    """Fresh errors beside the true forms with their amplitudes fitted to the same rows as the table, µm."""
-    shown = [index for index, held in enumerate(drawn.held) if not held]
-    here = [drawn.fit.cause_um[index] for index in shown]
-    there = [drawn.fresh.cause_um[index] for index in shown]
-    stacked = [
-        np.column_stack(c) if shown else np.zeros((len(s), 0))
-        for c, s in ((here, drawn.fit.state), (there, drawn.fresh.state))
-    ]
-    return drawn.fresh.error_um - drawn.fresh.caused_um - reference.model_um(drawn.fresh.state, *stacked)
+def _fitted_left(drawn: Drawn, reference: Reference, *, every_parameter: bool = False) -> Floats:
+    """Fresh errors beside the true forms with their amplitudes, or every parameter of theirs, fitted to the same rows as the table,
+    µm; the parameters linearised about their true values.
+    """
+    here, there = [np.zeros((len(drawn.fit.state), 0))], [np.zeros((len(drawn.fresh.state), 0))]
+    for cause, held in zip(drawn.causes, drawn.held, strict=True):
+        for form in () if held else (cause.form, *(slopes(cause.form) if every_parameter else ())):
+            course = form(drawn.fit.state)
+            if (size := float(np.linalg.norm(course))) > 0.0:
+                here.append(course[:, None] / size)
+                there.append(form(drawn.fresh.state)[:, None] / size * (0.0 if cause.of_set_up else 1.0))
+    left = drawn.fresh.error_um - drawn.fresh.caused_um
+    return left - reference.model_um(drawn.fresh.state, np.hstack(here), np.hstack(there))
 
 
 def _rms(values: Floats, free: Floats) -> float:

@@ -7,14 +7,21 @@ Each `draw_*` takes a random generator and the state of the fitting campaign (fo
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from types import CellType, FunctionType
 
 import numpy as np
 from numpy.random import Generator
 from study.grammar.environment import Floats, State
 
 Form = Callable[[State], Floats]
+
+STEP = 1e-4
+"""Step of a derivative, relative or absolute, whichever is larger."""
+MOST_NUMBERS = 4
+"""Most numbers of an array that are parameters: two phases are, the weights of a hysteresis follow from its length."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +48,33 @@ class Cause:
     def values(self, state: State) -> Floats:
         """µm, shape (n,)."""
         return np.asarray(self.amplitude * self.form(state))
+
+
+def slopes(form: Form) -> Iterator[Form]:
+    """Derivatives of a form to each number it was drawn with (lag, fixed point, period …), found in its closure; not to its amplitude.
+
+    By central differences, forwards from zero, where a lag ends.
+    """
+    for place, (name, cell) in enumerate(zip(form.__code__.co_freevars, form.__closure__ or (), strict=True)):
+        drawn = cell.cell_contents
+        if name == "span" or not isinstance(drawn, float | np.ndarray) or np.size(drawn) > MOST_NUMBERS:
+            continue
+        for index in range(np.size(drawn)):
+            step = np.zeros(np.shape(drawn))
+            step.flat[index] = STEP * max(abs(float(np.ravel(drawn)[index])), 1.0)
+            ends = drawn + step, drawn - step if np.any(drawn) else drawn
+            yield partial(_slope, *(_remade(form, place, end) for end in ends), float(np.sum(ends[0] - ends[1])))
+
+
+def _slope(above: Form, below: Form, apart: float, state: State) -> Floats:
+    return (above(state) - below(state)) / apart
+
+
+def _remade(form: Form, place: int, number: float | Floats) -> Form:
+    """A form with another number in its closure."""
+    cells = list(form.__closure__ or ())
+    cells[place] = CellType(float(number) if np.ndim(number) == 0 else number)
+    return FunctionType(form.__code__, form.__globals__, form.__name__, form.__defaults__, tuple(cells))
 
 
 def lagged(course: Floats, time_s: Floats, lag_s: float) -> Floats:

@@ -84,7 +84,7 @@ def test_what_is_offered_and_what_only_refines() -> None:
         ("curved", True),
         ("shift and growth", False),
     ]
-    simple = ["offset", "with direction", "with position", "with direction and position"]
+    simple = ["offset", "with direction", "with position", "with direction and position", "from a stiff point"]
     refined = ["offset and with direction and position", "curved", "curved with direction"]
     assert names("load_deflection") == [*[(n, True) for n in simple], *[(n, False) for n in refined]] * 2
     assert names("load_deflection", with_only("torque_percent")) == [
@@ -103,7 +103,10 @@ def test_what_is_offered_and_what_only_refines() -> None:
     assert names("cyclic") == [
         ("fundamental", True),
         ("with second harmonic", False),
+        ("with third harmonic", False),
         ("amplitude changing along the travel", False),
+        ("with second harmonic, amplitude changing along the travel", False),
+        ("with third harmonic, amplitude changing along the travel", False),
         ("different in each direction", False),
     ]
     assert names("lost_motion") == [("exponential", True), ("tanh", True), ("two lengths", False)]
@@ -125,7 +128,7 @@ def test_what_is_offered_and_what_only_refines() -> None:
     assert names("thermal_drift", campaign(rows=3)) == [("temperature", True)] * 2
     assert len(names("thermal_drift", campaign(rows=4))) == 7
     assert names("thermal_drift", with_only("temp_screw_c", "target_mm")) == [("temperature", True)]
-    assert names("beam_drift") == [("random walk", True), ("flicker", True)]
+    assert names("beam_drift") == [("creep", True), ("random walk", True), ("flicker", True)]
     assert names("datum_step") == [("step", True)]
 
 
@@ -343,7 +346,7 @@ STRAIGHT_FORMS = {
     "air_index": {"air index"},
     "backlash": {"constant"},
     "backlash_position": {"linear"},
-    "beam_drift": {"random walk", "flicker"},
+    "beam_drift": {"creep", "random walk", "flicker"},
     "cosine": {"scale"},
     "cross_axis": {"shift", "growing along the travel", "curved", "shift and growth"},
     "cyclic": set(),
@@ -354,6 +357,7 @@ STRAIGHT_FORMS = {
         "with direction",
         "with position",
         "with direction and position",
+        "from a stiff point",
         "offset and with direction and position",
         "curved",
         "curved with direction",

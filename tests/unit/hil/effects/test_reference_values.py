@@ -435,6 +435,7 @@ def test_load_gives_way_straight_or_bent() -> None:
         "with direction": [[30.0], [-15.0]],
         "with position": [[15.0], [-7.5]],
         "with direction and position": [[15.0], [7.5]],
+        "from a stiff point": [[30.0, 15.0], [15.0, -7.5]],
         "offset and with direction and position": [[30.0, 15.0], [15.0, 7.5]],
         "curved": [[30.0, 100.0], [15.0, 25.0]],
         "curved with direction": [[30.0, 100.0], [-15.0, -25.0]],
@@ -461,6 +462,22 @@ def test_load_gives_way_straight_or_bent() -> None:
     torque = term("load_deflection", "offset", ["torque_percent", "target_mm", "direction"], [0.5])
     assert list(torque.parameters) == ["compliance_um_per_percent"]
     assert "µm per %." in torque.effect.explain(torque)
+
+
+def test_a_screw_gives_way_in_proportion_to_its_free_length() -> None:
+    """0.5 and 0.25 µm/kg are nothing two half travels below mid-travel; σ² = (σ₀² + 2²·σ₁²)·(h/c₁)², σ 0.001 and 0.002."""
+    given = {"constants": TRAVEL | {"mean": 20.0}, "stds": [0.001, 0.002]}
+    found = term("load_deflection", "from a stiff point", ["load_kg", "target_mm", "direction"], [0.5, 0.25], **given)
+    centre, half = TRAVEL["centre_mm"], TRAVEL["half_span_mm"]
+    assert values(found.parameters) == {
+        "compliance_at_mid_travel_um_per_kg": (0.5, 0.001),
+        "compliance_with_position_um_per_kg": (0.25, 0.002),
+        "stiff_point_mm": (centre - 2.0 * half, pytest.approx(half / 0.25 * math.hypot(0.001, 0.004), rel=1e-6)),
+    }
+    assert "held at" in found.effect.explain(found)
+    vague = term("load_deflection", "from a stiff point", ["load_kg", "target_mm", "direction"], [0.5, 0.25])
+    assert "stiff_point_mm" not in vague.parameters  # 0.25 ± 0.2
+    assert "held at" not in vague.effect.explain(vague)
 
 
 def test_abbe_is_arm_times_tilt() -> None:
@@ -859,7 +876,13 @@ def test_cyclic_waves() -> None:
     second = [[1.0, 0.0], [0.0, -1.0], [0.0, -1.0]]
     joined = [a + b for a, b in zip(first, second, strict=True)]
     assert basis("cyclic", "with second harmonic", columns, (8.0,)) == close(joined)
+    third = [[h, -h], [-1.0, 0.0], [1.0, 0.0]]  # three quarters of π, and three halves
+    joined = [a + b for a, b in zip(first, third, strict=True)]
+    assert basis("cyclic", "with third harmonic", columns, (8.0,)) == close(joined)
     u = {"centre_mm": -2.0, "half_span_mm": 4.0}  # u = 0.75, 1, 0
+    both = [a + b + [f * v for v in a] for a, b, f in zip(first, second, (0.75, 1.0, 0.0), strict=True)]
+    name = "with second harmonic, amplitude changing along the travel"
+    assert basis("cyclic", name, columns, (8.0,), u) == close(both)
     joined = [row + [f * v for v in row] for row, f in zip(first, (0.75, 1.0, 0.0), strict=True)]
     assert basis("cyclic", "amplitude changing along the travel", columns, (8.0,), u) == close(joined)
     joined = [row + [f * v for v in row] for row, f in zip(first, (1.0, -1.0, 1.0), strict=True)]
@@ -879,6 +902,7 @@ def test_cyclic_amplitude_and_phase() -> None:
     sizes = {"change_to_the_ends_um": (12.6, round(0.1 * math.hypot(1.0, 0.64), 9))}
     extra = {
         "with second harmonic": "second_harmonic_um",
+        "with third harmonic": "third_harmonic_um",
         "amplitude changing along the travel": "change_to_the_ends_um",
         "different in each direction": "half_difference_um",
     }
@@ -889,6 +913,16 @@ def test_cyclic_amplitude_and_phase() -> None:
         assert values(more.parameters)[name] == sizes.get(name, (13.0, 0.1))
         assert set(more.parameters) == {"period_mm", "amplitude_um", "phase", name}
         assert "amplitude of 5 ± 0.2 µm, " in more.effect.explain(more)
+    name = "with third harmonic, amplitude changing along the travel"
+    given = [3.0, 4.0, 5.0, 12.0, 0.6, 0.8]  # a change along (3·0.6 + 4·0.8)/5, none across
+    more = term("cyclic", name, ["target_mm"], given, (8.0,), stds=[0.1] * 7, constants=travel)
+    assert values(more.parameters) == {
+        "period_mm": (8.0, pytest.approx(0.1, rel=0.1)),
+        "amplitude_um": (5.0, 0.1),
+        "phase": (pytest.approx(math.atan2(4.0, 3.0)), pytest.approx(0.02, rel=0.9)),
+        "third_harmonic_um": (13.0, 0.1),
+        "change_to_the_ends_um": (1.0, pytest.approx(0.1, rel=0.1)),
+    }
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -979,6 +1013,8 @@ def test_a_wandering_beam_in_cosines_of_time() -> None:
     walk = basis("beam_drift", "random walk", times, constants=constants)
     ends = [[1.0, 0.5, 1 / 3], [-1.0, 0.5, -1 / 3]]
     assert walk == [pytest.approx(row, abs=1e-12) for row in (ends[0], [0.0, -0.5, 0.0], ends[1], ends[0], ends[1])]
+    creep = basis("beam_drift", "creep", {"time_s": [10.0]}, constants=constants)
+    assert creep == [pytest.approx([1.0, 0.25, 1 / 9])]
     flicker = basis("beam_drift", "flicker", {"time_s": [10.0]}, constants=constants)
     assert flicker == [pytest.approx([1.0, 0.70710678, 0.57735027])]
     # RMS of Σ c_k cos over whole half waves: √(Σ c²/2); c = 3, 8/2 = 4 → √12.5; dRMS = √(Σ c²σ²)/(2 RMS), σ 0.1 and 0.2/2
