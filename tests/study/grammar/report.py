@@ -206,7 +206,7 @@ def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
                 "right": share([r for _, r in inside]),
             }
     off = [value for one in outcomes if "error" not in one for value in one["off_by_std"].values()]
-    found["true parameter within the stated 95 %"] = share([abs(value) <= 1.96 for value in off])
+    found["true parameter within the stated ± (k = 2)"] = share([abs(value) <= 2.0 for value in off])
     if pairs:
         found["Brier score"] = float(np.mean([(c - r) ** 2 for c, r in pairs]))
     return found
