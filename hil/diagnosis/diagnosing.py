@@ -95,7 +95,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     found = _findings(chosen, campaign.columns, noise)
     below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
     findings = tuple(finding for finding in found if finding.effect not in below_noise)
-    chosen = refitted_without(chosen, below_noise, noise, last=True) if below_noise else chosen
+    chosen = refitted_without(chosen, below_noise, noise) if below_noise else chosen
     courses = dict(courses_as_good(chosen))
     doubtful = {f.effect: Estimate(f.rms_um, f.rms_std_um) for f in findings if f.doubtful}
     unexplained = unexplained or bool(doubtful)
@@ -182,7 +182,7 @@ def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> JointFit | N
 def smooth_fit(selected: Selected, choices: Sequence[Choice]) -> tuple[JointFit, Noise]:
     """The fit of some choices beside a table as smooth as the rows show, and its noise model."""
     noise = selected.searcher.smooth(choices, selected.noise)
-    return selected.searcher.fit_over_noise(choices, noise), noise
+    return selected.searcher.fit(choices, noise), noise
 
 
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
@@ -382,11 +382,10 @@ def _misfit_note(left: LeftOver) -> str:
     return f"{left.rms} µm RMS along {' × '.join(left.columns)} are left of an effect that was found: its form is not quite this"
 
 
-def refitted_without(chosen: Chosen, effects: Collection[str], noise: Noise, *, last: bool = False) -> Chosen:
-    """The fit again without some effects. last: with the uncertainty of the noise model, for what is told."""
+def refitted_without(chosen: Chosen, effects: Collection[str], noise: Noise) -> Chosen:
+    """The fit again without some effects."""
     kept = [choice for choice in chosen.kept if choice.effect.id not in effects]
-    fit = chosen.last.searcher.fit_over_noise if last else chosen.last.searcher.fit
-    return replace(chosen, fit=fit(kept, noise))
+    return replace(chosen, fit=chosen.last.searcher.fit(kept, noise))
 
 
 def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tuple[Finding, ...]:

@@ -173,24 +173,6 @@ class JointFit:
     white_um: float
     nuisance_um: Floats
 
-    def with_covariances(self, covariances: Sequence[Floats]) -> JointFit:
-        """The same with other covariances of the terms found, each (k + t, k + t)."""
-        new = {
-            id(term): replace(term, covariance=tuple(tuple(float(v) for v in row) for row in covariance))
-            for term, covariance in zip(self.found, covariances, strict=True)
-        }
-
-        def renewed(model: Model) -> Model:
-            return replace(model, terms=tuple(new.get(id(term), term) for term in model.terms))
-
-        return replace(
-            self,
-            whole=renewed(self.whole),
-            extended=renewed(self.extended),
-            bare=renewed(self.bare),
-            found=tuple(new.values()),
-        )
-
 
 @dataclass(frozen=True)
 class Setting:

@@ -93,38 +93,6 @@ class Searcher:
             self.setting, noise, self.y, choices, out=self.out, nuisance=self.nuisance, uncertain=uncertain
         )
 
-    def fit_over_noise(self, choices: Sequence[Choice], noise: Noise) -> JointFit:
-        """The fit under a noise model, uncertain of that: covariances of the terms within and between the noise models of a grid, by
-        their evidence. Under the likeliest one alone they are too small where another is nearly as likely.
-        """
-        fit = self.fit(choices, noise)
-        if not fit.found:
-            return fit
-        extra = self.extra(choices)
-        trials = [
-            fit_noise(
-                self.linear,
-                self.y,
-                extra,
-                replace(noise, ar=ar, rho=rho),
-                correlations=((ar, rho),),
-                near=True,
-                out=self.out,
-            )
-            for ar, rho in dict.fromkeys((*CORRELATIONS, (noise.ar, noise.rho)))
-        ]
-        odds = np.array([self.evidence(choices, trial) for trial in trials])
-        weight = np.exp(odds - np.max(odds))
-        weight /= np.sum(weight)
-        fits = [self.fit(choices, trial).found for trial in trials]
-        covariances = []
-        for same in zip(*fits, strict=True):
-            within = np.tensordot(weight, [term.covariance for term in same], axes=1)
-            values = np.array([[*term.coefficients, *term.theta] for term in same])
-            apart = values - weight @ values
-            covariances.append(within + (weight[:, None] * apart).T @ apart)
-        return fit.with_covariances(covariances)
-
     def extra(self, choices: Sequence[Choice]) -> Extra:
         """The columns of some choices, and those of every fit."""
         total = self.always

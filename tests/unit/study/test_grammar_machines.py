@@ -226,3 +226,17 @@ def test_every_cause_has_a_name_of_the_catalogue():
 def test_wilson_interval_as_published():
     # 81 of 263: 0.2553 to 0.3662 (Newcombe 1998, Statistics in Medicine 17, table I, method 3)
     assert report.share([True] * 81 + [False] * 182)["wilson_95"] == pytest.approx([0.2553, 0.3662], abs=1e-4)
+
+
+def test_the_slopes_of_a_form_are_its_derivatives_to_what_it_was_drawn_with(state):
+    """Of load · (x - stiff) / travel: -load / travel. Of 1 - e^(-t/τ): -t/τ² · e^(-t/τ); what it takes from the rows is none."""
+    rng = np.random.default_rng(0)
+    loads = next(cause for cause in (physics.draw_load(rng, state) for _ in range(50)) if "along" in cause.text)
+    (by_stiff,) = (slope(state) for slope in physics.slopes(loads.form))
+    np.testing.assert_allclose(by_stiff, -state.load_kg / state.axis.travel_mm, atol=1e-9)
+    settles = next(cause for cause in (physics.draw_drift(rng, state) for _ in range(50)) if "settles" in cause.text)
+    tau_s = float(settles.text.split()[-2])
+    (by_tau,) = (slope(state) for slope in physics.slopes(settles.form))
+    expected = -state.time_s / tau_s**2 * np.exp(-state.time_s / tau_s)
+    np.testing.assert_allclose(by_tau, expected, rtol=0.02, atol=1e-3 * float(np.max(np.abs(expected))))
+    assert not list(physics.slopes(physics.draw_dead_path(rng, state).form))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from support.campaigns import campaign, wavy
@@ -14,10 +14,13 @@ from hil.diagnosis.search.judge import NullJudge, StructureSearch
 from hil.diagnosis.search.searcher import LIGHT, Searcher
 from hil.diagnosis.search.select import Selected, select
 from hil.diagnosis.search.structure import structures
+from hil.effects import Effect
+from hil.effects.beam_drift import BeamDrift
 from hil.effects.load_deflection import LoadDeflection
 from hil.effects.velocity_lag import VelocityLag
 
 Array = np.ndarray
+Sensors = Callable[[dict[str, Array], np.random.Generator], dict[str, Array]]
 
 
 def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
@@ -30,11 +33,22 @@ def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
     }
 
 
-def selected(error_um: Callable[[dict[str, Array]], Array]) -> Selected:
+def selected(
+    error_um: Callable[[dict[str, Array]], Array],
+    effects: Sequence[Effect] = (VelocityLag(), LoadDeflection()),
+    sensors: Sensors = sensors,
+) -> Selected:
     prepared = prepare(campaign(lambda c: wavy(c) + error_um(c), sensors=sensors))
-    candidates = enumerate_candidates(prepared, (VelocityLag(), LoadDeflection()))
+    candidates = enumerate_candidates(prepared, effects)
     searcher = Searcher(Setting.free(prepared), candidates, None, LIGHT)
     return select(searcher, StructureSearch(structures(prepared), 0), NullJudge(0), start_noise(prepared))
+
+
+def thermometers(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    """One that warms and cools again and one that warms, and air that does neither, as the coolant."""
+    t = c["time_s"] / c["time_s"][-1]
+    warm = {"temp_motor_c": 22.0 + 2.0 * np.sin(3.0 * np.pi * t), "temp_bed_c": 20.0 + t**2}
+    return warm | {"coolant_l_min": 5.0 + np.cos(5.0 * np.pi * t**1.3)}
 
 
 def names(found: Selected) -> list[str]:
@@ -61,3 +75,19 @@ def test_nothing_is_selected_from_noise() -> None:
     found = selected(lambda c: np.zeros(len(c["run"])))
     assert names(found) == []
     assert found.hits == found.shapes == ()
+
+
+def test_a_reading_that_wanders_keeps_its_name_beside_what_changes_with_the_time() -> None:
+    """A product of the time and a temperature may be that; one of the time and the flow of the coolant is another cause."""
+
+    def times_time(column: str) -> Selected:
+        def course(c: dict[str, Array]) -> Array:
+            return 1.2 * (c["time_s"] / c["time_s"][-1] - 0.5) * (c[column] - np.mean(c[column]))
+
+        return selected(course, (BeamDrift(),), thermometers)
+
+    wanders, flows = times_time("temp_motor_c"), times_time("coolant_l_min")
+    assert names(wanders) == ["beam_drift"]
+    assert "time_s" not in wanders.foreign["beam_drift"].columns
+    assert names(flows) == []
+    assert [hit.structure.columns for hit in flows.hits] == [("coolant_l_min", "time_s")]
