@@ -1,7 +1,7 @@
 """Beam drift: an offset that varies with time alone (laser warming up, mount creeping, turbulent air).
 
-A sum of cosines of time over the campaign whose amplitudes fall with frequency (a mount that creeps, random walk or 1/f), shrunk
-towards zero.
+A sum of cosines of time over the campaign whose amplitudes fall with frequency (random walk or 1/f), shrunk towards
+zero.
 """
 
 from __future__ import annotations
@@ -15,18 +15,14 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Ri
 from hil.effects.survey import Survey
 
 WAVES = 40
-CREEP, WANDER, FLICKER = "creep", "random walk", "flicker"
-SLOPES = {CREEP: 2.0, WANDER: 1.0, FLICKER: 0.5}
-"""Power of the frequency by which the amplitude falls: 1/f⁴ (a random walk of the speed), 1/f² (random walk) and 1/f noise."""
-ODDS = {CREEP: -2.0}
-"""Prior log odds of a form against the others: whatever drifts slowly is a smooth course of time, so that one loses to a cause which
-explains as much. On 48 machines that wander or settle 43 are named at -2, 40 at 0 and 41 without the form.
-"""
+WANDER, FLICKER = "random walk", "flicker"
+SLOPES = {WANDER: 1.0, FLICKER: 0.5}
+"""Power of the frequency by which the amplitude falls: 1/f² (random walk) and 1/f noise."""
 
 
 class BeamDrift(Effect):
-    """error_um = Σ c_k·k^(-p)·cos(πk·t), t the time as a fraction of the campaign (0 … 1), p 2 for creep, 1 for a random
-    walk, 0.5 for 1/f noise.
+    """error_um = Σ c_k·k^(-p)·cos(πk·t), t the time as a fraction of the campaign (0 … 1), p 1 for a random walk, 0.5
+    for 1/f noise.
     """
 
     id: ClassVar[str] = "beam_drift"
@@ -44,10 +40,7 @@ class BeamDrift(Effect):
             return ()
         waves = min(WAVES, survey.rows // 4)
         constants = {"start": survey.time_start, "duration": survey.duration_s, "waves": float(waves)}
-        inputs = (survey.time_column,)
-        return tuple(
-            Form(self.id, name, inputs, constants, shrunk=True, log_odds=ODDS.get(name, 0.0)) for name in SLOPES
-        )
+        return tuple(Form(self.id, name, (survey.time_column,), constants, shrunk=True) for name in SLOPES)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         phase = (columns[form.inputs[0]] - form.constants["start"]) / form.constants["duration"]

@@ -18,7 +18,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.effects.thermometers import TEMPERATURE, without_noise
+from hil.effects.thermometers import TEMPERATURE, most_noise, without_noise
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
@@ -46,8 +46,8 @@ def complete(columns: Columns) -> dict[str, Floats]:
     if "row_order" not in full:
         full["row_order"] = row_order(full["run"])
         time = full[time_column(full)]
-        thermometers = [name for name in full if TEMPERATURE.fullmatch(name) and _filled(full, name)]
-        full |= {name: without_noise(time, full[name]) for name in thermometers}
+        slow = {name: most for name in full if (most := most_noise(name)) is not None and _filled(full, name)}
+        full |= {name: without_noise(time, full[name], most) for name, most in slow.items()}
     if not _filled(full, "since_reversal_mm") or not _filled(full, "stroke_mm"):
         since, stroke = reversals(full["target_mm"], full["direction"])
         if not _filled(full, "since_reversal_mm"):

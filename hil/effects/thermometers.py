@@ -1,8 +1,9 @@
-"""The course of a temperature without the noise of its thermometer.
+"""The course of a temperature, or of the air, without the noise of its sensor.
 
 A body of a machine warms up and cools down over minutes; what its thermometer says differs from row to row by some hundredths of a
 kelvin. Read row by row, these move the correction of an axis of a metre with 12 ppm/K by half a micrometre; and in a fit a lag that
-only averages them is better than none.
+only averages them is better than none. Air that is read 0.02 K and 0.05 hPa apart says a dead path of three metres 0.07 µm apart, and
+then a reading that wanders fits better.
 
 Whittaker's smoother (1923) on the times of the rows: the sum of squared differences to the readings, plus λ times the integral of the
 squared slope (a temperature that is a random walk) or of the squared bend (whose slope is one). λ and which of the two by restricted
@@ -25,6 +26,10 @@ Floats = NDArray[np.float64]
 
 TEMPERATURE = re.compile(r"temp_\w+_c")
 """Names of the columns of the machine's temperatures."""
+AIR = {"air_temp_c": 0.05, "air_pressure_hpa": 0.1, "air_humidity_percent": 0.5}
+"""Noise of a sensor of the air up to which it is the sensor's, in its unit: what its maker calls resolution or short-term noise. One
+place does not tell the air of the whole path faster than it mixes.
+"""
 MOST_NOISE_K = 0.05
 """Noise of a reading, standard deviation, up to which it is the thermometer's: a body of a machine does not leap by it between two
 rows, and a resolution of a tenth of a kelvin has 0.03 K. Beyond it the readings are taken as they are.
@@ -57,28 +62,33 @@ STEPS = 16
 """Values of λ tried, in the time over which they smooth: from half an interval to a quarter of the record."""
 
 
-def without_noise(time_s: Floats, reading_c: Floats) -> Floats:
-    """One temperature, °C, (n,), from its readings at times, s, (n,); where a clock begins anew, each stretch by itself.
+def most_noise(column: str) -> float | None:
+    """Noise of a column's sensor up to which its readings are smoothed, in the unit of the column; None for one that is not."""
+    return MOST_NOISE_K if TEMPERATURE.fullmatch(column) else AIR.get(column)
 
-    The readings themselves where there are too few, or where their noise is more than `MOST_NOISE_K` or than the course spans.
+
+def without_noise(time_s: Floats, reading: Floats, most: float = MOST_NOISE_K) -> Floats:
+    """One temperature, °C, or another slow quantity, (n,), from its readings at times, s, (n,); where a clock begins anew, each
+    stretch by itself.
+
+    The readings themselves where there are too few, or where their noise is more than `most` or than the course spans.
     """
-    return _known(
-        np.ascontiguousarray(time_s, np.float64).tobytes(), np.ascontiguousarray(reading_c, np.float64).tobytes()
-    )
+    time, value = (np.ascontiguousarray(one, np.float64).tobytes() for one in (time_s, reading))
+    return _known(time, value, most)
 
 
 @lru_cache(maxsize=KEPT)
-def _known(time_s: bytes, reading_c: bytes) -> Floats:
-    """The same of an array's bytes, made once for the same readings."""
-    time, reading = np.frombuffer(time_s), np.frombuffer(reading_c)
+def _known(times_s: bytes, readings: bytes, most: float) -> Floats:
+    """The same of arrays' bytes, made once for the same readings."""
+    time, reading = np.frombuffer(times_s), np.frombuffer(readings)
     begins = np.flatnonzero(np.diff(time) < 0.0) + 1
     parts = zip(np.split(time, begins), np.split(reading, begins), strict=True)
-    course = np.concatenate([_without_noise(*part) for part in parts])
+    course = np.concatenate([_without_noise(*part, most) for part in parts])
     course.flags.writeable = False
     return course
 
 
-def _without_noise(time_s: Floats, reading_c: Floats) -> Floats:
+def _without_noise(time_s: Floats, reading_c: Floats, most: float) -> Floats:
     """The same of ascending times."""
     intervals = np.diff(time_s)
     if len(time_s) < FEWEST or not np.any(intervals > 0.0) or np.ptp(reading_c) == 0.0:
@@ -89,7 +99,7 @@ def _without_noise(time_s: Floats, reading_c: Floats) -> Floats:
     if len(moments.time) < FEWEST:
         return reading_c
     best = max(_tried(moments), key=lambda one: one.worth, default=None)
-    if best is None or best.noise_k > MOST_NOISE_K or float(np.ptp(best.course)) < SPAN * best.noise_k:
+    if best is None or best.noise_k > most or float(np.ptp(best.course)) < SPAN * best.noise_k:
         return reading_c
     course = mean_c + _straight_between(time, moments.time, best.course)
     off_k = np.abs(best.course - moments.value) * np.sqrt(moments.count)

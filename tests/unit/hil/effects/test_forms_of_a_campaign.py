@@ -128,7 +128,7 @@ def test_what_is_offered_and_what_only_refines() -> None:
     assert names("thermal_drift", campaign(rows=3)) == [("temperature", True)] * 2
     assert len(names("thermal_drift", campaign(rows=4))) == 7
     assert names("thermal_drift", with_only("temp_screw_c", "target_mm")) == [("temperature", True)]
-    assert names("beam_drift") == [("creep", True), ("random walk", True), ("flicker", True)]
+    assert names("beam_drift") == [("random walk", True), ("flicker", True)]
     assert names("datum_step") == [("step", True)]
 
 
@@ -346,7 +346,7 @@ STRAIGHT_FORMS = {
     "air_index": {"air index"},
     "backlash": {"constant"},
     "backlash_position": {"linear"},
-    "beam_drift": {"creep", "random walk", "flicker"},
+    "beam_drift": {"random walk", "flicker"},
     "cosine": {"scale"},
     "cross_axis": {"shift", "growing along the travel", "curved", "shift and growth"},
     "cyclic": set(),

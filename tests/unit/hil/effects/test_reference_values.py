@@ -1013,8 +1013,6 @@ def test_a_wandering_beam_in_cosines_of_time() -> None:
     walk = basis("beam_drift", "random walk", times, constants=constants)
     ends = [[1.0, 0.5, 1 / 3], [-1.0, 0.5, -1 / 3]]
     assert walk == [pytest.approx(row, abs=1e-12) for row in (ends[0], [0.0, -0.5, 0.0], ends[1], ends[0], ends[1])]
-    creep = basis("beam_drift", "creep", {"time_s": [10.0]}, constants=constants)
-    assert creep == [pytest.approx([1.0, 0.25, 1 / 9])]
     flicker = basis("beam_drift", "flicker", {"time_s": [10.0]}, constants=constants)
     assert flicker == [pytest.approx([1.0, 0.70710678, 0.57735027])]
     # RMS of Σ c_k cos over whole half waves: √(Σ c²/2); c = 3, 8/2 = 4 → √12.5; dRMS = √(Σ c²σ²)/(2 RMS), σ 0.1 and 0.2/2
