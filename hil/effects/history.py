@@ -35,7 +35,8 @@ the latest first; closed loops are left out. `LONG_STROKE_MM` where there is non
 
 def complete(columns: Columns) -> dict[str, Floats]:
     """The columns, with `row_order`, `since_reversal_mm`, `stroke_mm`, `command_mm` and those of BRANCH added where they
-    are missing or not filled, and the machine's temperatures without the noise of their thermometers (`hil.effects.thermometers`).
+    are missing or not filled, and the temperatures of the machine and the air's sensors without their noise
+    (`hil.effects.thermometers`).
 
     columns: at least `run`, `direction`, `target_mm`, each of shape (n,), rows in the order of time. `row_order`
     replaces `time_s` where that is missing (`time_column`).
