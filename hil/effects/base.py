@@ -5,7 +5,7 @@ error_um = basis(columns, theta) @ coefficients. It lists the *forms* that given
 column, exponential or tanh …); the diagnosis searches over forms and parameters.
 
 Evaluation is vectorised and causal: the error of a row depends only on what is known when its set-point is issued (of whole records
-temperatures are known better, `hil.effects.thermometers`).
+temperatures and air are known better, `hil.effects.thermometers`).
 History enters as columns (`time_s`, `since_reversal_mm`, `stroke_mm`); `hil.effects.history` computes those that follow
 from the rows.
 """

@@ -17,14 +17,19 @@ from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, No
 from hil.effects.survey import Survey
 
 FUNDAMENTAL = "fundamental"
-HARMONICS = {"with second harmonic": 2, "with third harmonic": 3}
-"""Order of the harmonic that a form has beside the fundamental."""
 MODULATED = "amplitude changing along the travel"
 PER_DIRECTION = "different in each direction"
-BOTH = {f"{name}, {MODULATED}": order for name, order in HARMONICS.items()}
-HARMONIC = {**HARMONICS, **BOTH}
-CHANGING = (MODULATED, *BOTH)
-"""Forms whose fundamental changes along the travel."""
+SECOND, THIRD = "with second harmonic", "with third harmonic"
+FORMS = {
+    FUNDAMENTAL: (0, False),
+    SECOND: (2, False),
+    THIRD: (3, False),
+    MODULATED: (0, True),
+    f"{SECOND}, {MODULATED}": (2, True),
+    f"{THIRD}, {MODULATED}": (3, True),
+    PER_DIRECTION: (0, False),
+}
+"""Of each form the order of the harmonic beside the fundamental, 0 for none, and whether the fundamental changes along the travel."""
 ORDINAL = {2: "second", 3: "third"}
 
 LINES = 1500
@@ -74,24 +79,32 @@ class Cyclic(Effect):
         period = NonLinear("period_mm", min(grid)[0] / 2, survey.half_span_mm)  # twice in the travel, or it is no cycle
         constants = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         inputs = ("target_mm",)
-        return (
-            Form(self.id, FUNDAMENTAL, inputs, {}, (period,), grid),
-            *(Form(self.id, name, inputs, {}, (period,), grid, scan=False) for name in HARMONICS),
-            *(Form(self.id, name, inputs, constants, (period,), grid, scan=False) for name in CHANGING),
-            Form(self.id, PER_DIRECTION, (*inputs, "direction"), {}, (period,), grid, scan=False),
+        return tuple(
+            Form(
+                self.id,
+                name,
+                (*inputs, "direction") if name == PER_DIRECTION else inputs,
+                constants if changes else {},
+                (period,),
+                grid,
+                scan=name == FUNDAMENTAL,
+            )
+            for name, (_, changes) in FORMS.items()
         )
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         return self.bases(form, [theta], columns)
 
     def bases(self, form: Form, thetas: Sequence[Sequence[float]], columns: Columns) -> Floats:
+        order, changes = FORMS[form.name]
         x = columns["target_mm"][:, None]
         angle = 2 * np.pi * x / np.array(thetas)[:, 0]
-        waves = np.empty((*angle.shape, 2 * len(_orders(form)) + 2 * _changes(form)))
-        for i, order in enumerate(_orders(form)):
-            np.sin(order * angle, out=waves[..., 2 * i])
-            np.cos(order * angle, out=waves[..., 2 * i + 1])
-        if form.name in CHANGING:
+        pairs = [1, order] if order else [1]
+        waves = np.empty((*angle.shape, 2 * (len(pairs) + (changes or form.name == PER_DIRECTION))))
+        for i, one in enumerate(pairs):
+            np.sin(one * angle, out=waves[..., 2 * i])
+            np.cos(one * angle, out=waves[..., 2 * i + 1])
+        if changes:
             u = (x - form.constants["centre_mm"]) / form.constants["half_span_mm"]
             np.multiply(u[..., None], waves[..., :2], out=waves[..., -2:])
         elif form.name == PER_DIRECTION:
@@ -102,23 +115,25 @@ class Cyclic(Effect):
         self, form: Form, theta: Sequence[float], coefficients: Sequence[float], row: Mapping[str, float]
     ) -> Wave | None:
         per_mm = 2 * math.pi / theta[0]
+        order, changes = FORMS[form.name]
         sine, cosine = coefficients[:2]
         if form.name == PER_DIRECTION:
             sine, cosine = sine + row["direction"] * coefficients[2], cosine + row["direction"] * coefficients[3]
-        waves = [_wave(per_mm, sine, cosine)]
-        if form.name in HARMONIC:
-            waves.append(_wave(per_mm * HARMONIC[form.name], *coefficients[2:4]))
-        if form.name not in CHANGING:
-            return Wave(lambda x: sum(one.at_um(x) for one in waves), sum(one.steepest for one in waves))
+        first = _wave(per_mm, sine, cosine)
+        if order:
+            first = _both(first, _wave(order * per_mm, *coefficients[2:4]))
+        if not changes:
+            return first
         change = _wave(per_mm, *coefficients[-2:])
         centre, half_span = form.constants["centre_mm"], form.constants["half_span_mm"]
-        return Wave(lambda x: sum(one.at_um(x) for one in waves) + (x - centre) / half_span * change.at_um(x), math.inf)
+        return Wave(lambda x: first.at_um(x) + (x - centre) / half_span * change.at_um(x), math.inf)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         found = {"period_mm": period_mm(term), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
-        if term.form.name in HARMONIC:
-            found[f"{ORDINAL[HARMONIC[term.form.name]]}_harmonic_um"] = term.amplitude(2, 3)
-        if term.form.name in CHANGING:
+        order, changes = FORMS[term.form.name]
+        if order:
+            found[f"{ORDINAL[order]}_harmonic_um"] = term.amplitude(2, 3)
+        if changes:
             phase = term.derived(lambda c, theta: _phase(term.form, c, float(theta[0])))
             found["phase"] = replace(phase, value=math.remainder(phase.value, 2.0 * math.pi))
             found["change_to_the_ends_um"] = term.derived(lambda c, _: abs(_along(c)[0]))
@@ -134,20 +149,15 @@ class Cyclic(Effect):
         )
 
 
-def _orders(form: Form) -> tuple[int, ...]:
-    """Orders of the waves of a form, the fundamental first."""
-    return (1, HARMONIC[form.name]) if form.name in HARMONIC else (1,)
-
-
-def _changes(form: Form) -> bool:
-    """Whether the fundamental has a second pair of columns, along the travel or for the direction."""
-    return form.name in CHANGING or form.name == PER_DIRECTION
-
-
 def _wave(per_mm: float, sine: float, cosine: float) -> Wave:
     """sine · sin(per_mm · x) + cosine · cos(per_mm · x), as one sine."""
     size, phase, sin = math.hypot(sine, cosine), math.atan2(cosine, sine), math.sin
     return Wave(lambda x: size * sin(per_mm * x + phase), per_mm * size)
+
+
+def _both(first: Wave, second: Wave) -> Wave:
+    """The sum of two waves."""
+    return Wave(lambda x: first.at_um(x) + second.at_um(x), first.steepest + second.steepest)
 
 
 def period_mm(term: Term) -> Estimate:
@@ -156,7 +166,7 @@ def period_mm(term: Term) -> Estimate:
     Where the amplitude changes along the travel, both waves have a change of their own: that of the phase is a change of the
     period, and only the two together are determined.
     """
-    if term.form.name not in CHANGING:
+    if not FORMS[term.form.name][1]:
         return term.nonlinear(0)
     return term.derived(lambda c, theta: _period(term.form, c, float(theta[0])))
 

@@ -1,10 +1,9 @@
 """Columns of the axis's history: time since the start, travel since the reversal, stroke before it, a sensor seen
 through a lag.
 
-Functions from columns to further columns, causal row by row, but that `complete` takes the noise of thermometers out of whole records.
-During a correction the engine tracks the same values and
-passes them as columns; what a sensor said before, for a lag, is in `Course`. For records that lack them they are estimated
-here, and the result lists which.
+Functions from columns to further columns, causal row by row, but that `complete` takes the noise of thermometers and of the air's
+sensors out of whole records. During a correction the engine tracks the same values and passes them as columns; what a sensor said
+before, for a lag, is in `Course`. For records that lack them they are estimated here, and the result lists which.
 """
 
 from __future__ import annotations

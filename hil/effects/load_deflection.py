@@ -20,6 +20,8 @@ FROM_A_POINT = "from a stiff point"
 SIMPLE = ("offset", "with direction", "with position", "with direction and position", FROM_A_POINT)
 KNOWN_TO = 3.0
 """Standard deviations by which the change along the travel must differ from zero for the point where it is zero to be given."""
+FARTHEST = 3.0
+"""Distance of that point from mid-travel, in half travels, beyond which nothing of the machine holds the axis there."""
 ALONG, CURVED, CURVED_REVERSAL = "offset and with direction and position", "curved", "curved with direction"
 
 
@@ -78,7 +80,7 @@ class LoadDeflection(Effect):
             FROM_A_POINT: ["compliance_at_mid_travel", "compliance_with_position"],
         }.get(term.form.name, [f"compliance_{term.form.name.replace(' ', '_')}"])
         found = {f"{name}_um_per_{unit}": term.coefficient(i) for i, name in enumerate(names)}
-        point = stiff_point_mm(term)
+        point = stiff_point_mm(term) if term.form.name == FROM_A_POINT else None
         return found if point is None else found | {"stiff_point_mm": point}
 
     def explain(self, term: Term) -> str:
@@ -96,9 +98,11 @@ class LoadDeflection(Effect):
 
 
 def stiff_point_mm(term: Term) -> Estimate | None:
-    """Where a load moves the axis by nothing, with its first-order uncertainty; None where the form or the rows know no such point."""
-    change = term.coefficient(1) if term.form.name == FROM_A_POINT else None
-    if change is None or abs(change.value) <= KNOWN_TO * change.std:
+    """Where a load moves an axis that gives way from a stiff point by nothing, with its first-order uncertainty; None where the rows
+    do not know it, or where nothing is that far outside the travel.
+    """
+    at_middle, change = term.coefficient(0), term.coefficient(1)
+    if abs(change.value) <= max(KNOWN_TO * change.std, abs(at_middle.value) / FARTHEST):
         return None
     centre, half_span = term.form.constants["centre_mm"], term.form.constants["half_span_mm"]
     return term.derived(lambda c, _: centre - half_span * float(c[0] / c[1]))

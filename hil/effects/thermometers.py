@@ -26,15 +26,16 @@ Floats = NDArray[np.float64]
 
 TEMPERATURE = re.compile(r"temp_\w+_c")
 """Names of the columns of the machine's temperatures."""
-AIR = {"air_temp_c": 0.05, "air_pressure_hpa": 0.1, "air_humidity_percent": 0.5}
-"""Noise of a sensor of the air up to which it is the sensor's, in its unit: what its maker calls resolution or short-term noise. One
-place does not tell the air of the whole path faster than it mixes.
+AIR = {"air_temp_c": 0.05, "air_pressure_hpa": 0.06, "air_humidity_percent": 0.5}
+"""Noise of a sensor of the air, in its unit, up to which it is the sensor's: a resolution of 0.2 hPa has 0.06. What the air does from
+row to row within it is lost, of a dead path of a metre 0.05 µm: temperature and humidity of one place do not tell those of the whole
+path that fast, the pressure would.
 """
 MOST_NOISE_K = 0.05
 """Noise of a reading, standard deviation, up to which it is the thermometer's: a body of a machine does not leap by it between two
 rows, and a resolution of a tenth of a kelvin has 0.03 K. Beyond it the readings are taken as they are.
 """
-LEAST_NOISE_K = 1e-4
+LEAST_NOISE = 1e-4
 """Noise below which it does not matter: readings without any would have no likelihood."""
 FARTHEST = 6.0
 """Largest difference of a reading to the course, in standard deviations of the noise: beyond it something else happened, and the
@@ -56,8 +57,10 @@ RESOLVED = 2.5
 """Median change from one reading to the next, in the smallest one, from which equal readings are one that was held, and not rounded
 alike.
 """
-KEPT = 24
-"""Courses that are kept: a diagnosis completes the same columns some forty times, and a machine has six thermometers or so."""
+KEPT, MOST_ROWS_KEPT = 24, 20_000
+"""Courses that are kept, and rows up to which they are: a diagnosis completes the same columns some forty times, a machine has nine
+such sensors or so. 24 bytes a row: 12 MB at most.
+"""
 STEPS = 16
 """Values of λ tried, in the time over which they smooth: from half an interval to a quarter of the record."""
 
@@ -73,37 +76,43 @@ def without_noise(time_s: Floats, reading: Floats, most: float = MOST_NOISE_K) -
 
     The readings themselves where there are too few, or where their noise is more than `most` or than the course spans.
     """
-    time, value = (np.ascontiguousarray(one, np.float64).tobytes() for one in (time_s, reading))
-    return _known(time, value, most)
+    time, value = (np.ascontiguousarray(one, np.float64) for one in (time_s, reading))
+    if len(time) > MOST_ROWS_KEPT:
+        return _of_stretches(time, value, most)
+    return _known(time.tobytes(), value.tobytes(), most)
 
 
 @lru_cache(maxsize=KEPT)
 def _known(times_s: bytes, readings: bytes, most: float) -> Floats:
     """The same of arrays' bytes, made once for the same readings."""
-    time, reading = np.frombuffer(times_s), np.frombuffer(readings)
-    begins = np.flatnonzero(np.diff(time) < 0.0) + 1
-    parts = zip(np.split(time, begins), np.split(reading, begins), strict=True)
+    return _of_stretches(np.frombuffer(times_s), np.frombuffer(readings), most)
+
+
+def _of_stretches(time_s: Floats, reading: Floats, most: float) -> Floats:
+    """The same of each stretch of a clock by itself, and for reading only, since it may be kept."""
+    begins = np.flatnonzero(np.diff(time_s) < 0.0) + 1
+    parts = zip(np.split(time_s, begins), np.split(reading, begins), strict=True)
     course = np.concatenate([_without_noise(*part, most) for part in parts])
     course.flags.writeable = False
     return course
 
 
-def _without_noise(time_s: Floats, reading_c: Floats, most: float) -> Floats:
+def _without_noise(time_s: Floats, reading: Floats, most: float) -> Floats:
     """The same of ascending times."""
     intervals = np.diff(time_s)
-    if len(time_s) < FEWEST or not np.any(intervals > 0.0) or np.ptp(reading_c) == 0.0:
-        return reading_c
+    if len(time_s) < FEWEST or not np.any(intervals > 0.0) or np.ptp(reading) == 0.0:
+        return reading
     time = (time_s - time_s[0]) / float(np.median(intervals[intervals > 0.0]))
-    mean_c = float(np.mean(reading_c))
-    moments = _Moments.of(*_readings(time, reading_c - mean_c))
+    mean = float(np.mean(reading))
+    moments = _Moments.of(*_readings(time, reading - mean))
     if len(moments.time) < FEWEST:
-        return reading_c
+        return reading
     best = max(_tried(moments), key=lambda one: one.worth, default=None)
-    if best is None or best.noise_k > most or float(np.ptp(best.course)) < SPAN * best.noise_k:
-        return reading_c
-    course = mean_c + _straight_between(time, moments.time, best.course)
-    off_k = np.abs(best.course - moments.value) * np.sqrt(moments.count)
-    return course if float(np.max(off_k)) <= FARTHEST * max(best.noise_k, LEAST_NOISE_K) else reading_c
+    if best is None or best.noise > most or float(np.ptp(best.course)) < SPAN * best.noise:
+        return reading
+    course = mean + _straight_between(time, moments.time, best.course)
+    off = np.abs(best.course - moments.value) * np.sqrt(moments.count)
+    return course if float(np.max(off)) <= FARTHEST * max(best.noise, LEAST_NOISE) else reading
 
 
 def _readings(time: Floats, reading: Floats) -> tuple[Floats, Floats]:
@@ -160,13 +169,13 @@ class _Moments:
 
 @dataclass(frozen=True)
 class _Course:
-    """A smooth course of the values. course: (m,); worth: its restricted log-likelihood beside a straight line; noise_k: standard
+    """A smooth course of the values. course: (m,); worth: its restricted log-likelihood beside a straight line; noise: standard
     deviation of a reading about it, K.
     """
 
     course: Floats
     worth: float
-    noise_k: float
+    noise: float
 
     @classmethod
     def of(cls, moments: _Moments, order: int, stiffness: float) -> _Course:
@@ -192,7 +201,7 @@ class _Course:
             course = course + apart * (float(moments.value @ (moments.count * apart)) / information)
             logs += np.log(information / float(line @ (moments.count * line)))
         squares = float(moments.value @ (moments.count * (moments.value - course))) + moments.spread
-        squares = max(squares, freedom * LEAST_NOISE_K**2)
+        squares = max(squares, freedom * LEAST_NOISE**2)
         return cls(
             course, -0.5 * (freedom * np.log(squares / freedom) + float(logs)), float(np.sqrt(squares / freedom))
         )

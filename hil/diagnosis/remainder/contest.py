@@ -18,7 +18,7 @@ from hil.diagnosis.remainder.null import Null
 from hil.diagnosis.remainder.scan import Variable, variables
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.searcher import Searcher
-from hil.diagnosis.search.select import of_a_wander
+from hil.diagnosis.search.select import is_of_a_wander
 from hil.diagnosis.table import DeclaredShape
 
 
@@ -41,9 +41,8 @@ def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[s
             continue
         # a smooth function of the time is any slow course, and so no other cause by itself
         own = {"target_mm", "direction", time}.union(*(choice.form.inputs for choice in mine))
-        slow = of_a_wander(mine, campaign.survey)
         worth = {names: blocks.evidence_of(null, design)[0] for names, design in designs.items()}
-        its_own = {names for names in worth if set(names) <= own or slow(names)}
+        its_own = {names for names in worth if set(names) <= own or is_of_a_wander(names, mine, campaign.survey)}
         of_others = max([value for names, value in worth.items() if names not in its_own], default=-math.inf)
         # a form that is not quite the machine's loses to functions of its own columns, and is no other cause
         of_its_own = max([value for names, value in worth.items() if names in its_own], default=0.0)

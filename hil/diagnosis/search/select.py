@@ -4,7 +4,7 @@ in this order.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -164,11 +164,12 @@ def _foreign(
     worth = searcher.profiled_evidence(chosen, noise)[0]
     for group in _groups(chosen, fixed):
         rest = [choice for i, choice in enumerate(chosen) if i not in group]
-        own = {"target_mm", "direction"}.union(*(chosen[i].form.inputs for i in group))
-        slow = of_a_wander([chosen[i] for i in group], searcher.linear.campaign.survey)
+        mine, survey = [chosen[i] for i in group], searcher.linear.campaign.survey
+        own = {"target_mm", "direction"}.union(*(choice.form.inputs for choice in mine))
         base, calm = searcher.profiled_evidence(rest, noise)
         of_other_columns = np.array(
-            [not (set(s.columns) <= own or slow(s.columns)) for s in catalogue.structures], dtype=np.bool_
+            [not (set(s.columns) <= own or is_of_a_wander(s.columns, mine, survey)) for s in catalogue.structures],
+            dtype=np.bool_,
         )
         if not np.any(of_other_columns):
             continue
@@ -192,10 +193,12 @@ def _foreign(
     return odds, list(chosen), None
 
 
-def of_a_wander(choices: Sequence[Choice], survey: Survey) -> Callable[[Iterable[str]], bool]:
-    """Whether some columns are the time and what changes with it, for a reading that wanders: their functions are no other cause."""
-    slow = {survey.time_column, *survey.temperatures, *SENSORS} if any(c.form.shrunk for c in choices) else set()
-    return lambda columns: survey.time_column in columns and set(columns) <= slow
+def is_of_a_wander(columns: Collection[str], choices: Sequence[Choice], survey: Survey) -> bool:
+    """Whether a function of some columns is one of the time and what changes with it, where these choices are a reading that wanders:
+    it is no other cause then.
+    """
+    slow = {survey.time_column, *survey.temperatures, *SENSORS}
+    return any(c.form.shrunk for c in choices) and survey.time_column in columns and set(columns) <= slow
 
 
 def _contests(

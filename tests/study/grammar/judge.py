@@ -79,8 +79,8 @@ def _free_of_set_up(drawn: Drawn) -> Floats:
 
 
 def _fitted_left(drawn: Drawn, reference: Reference, *, every_parameter: bool = False) -> Floats:
-    """Fresh errors beside the true forms with their amplitudes, or every parameter of theirs, fitted to the same rows as the table,
-    µm; the parameters linearised about their true values.
+    """Fresh errors beside the true forms with their amplitudes, or with every parameter that `slopes` finds too, fitted to the same
+    rows as the table, µm; the parameters linearised about their true values.
     """
     here, there = [np.zeros((len(drawn.fit.state), 0))], [np.zeros((len(drawn.fresh.state), 0))]
     for cause, held in zip(drawn.causes, drawn.held, strict=True):

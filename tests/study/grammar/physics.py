@@ -18,8 +18,10 @@ from study.grammar.environment import Floats, State
 
 Form = Callable[[State], Floats]
 
-STEP = 1e-4
-"""Step of a derivative, relative or absolute, whichever is larger."""
+STEP = 1e-6
+"""Step of a derivative, relative or absolute, whichever is larger: of a period that fits a thousand times into the travel too."""
+LAG_STEP_S = 30.0
+"""Step from no lag, which is the mean over a row's interval as soon as there is one."""
 MOST_NUMBERS = 4
 """Most numbers of an array that are parameters: two phases are, the weights of a hysteresis follow from its length."""
 
@@ -51,18 +53,18 @@ class Cause:
 
 
 def slopes(form: Form) -> Iterator[Form]:
-    """Derivatives of a form to each number it was drawn with (lag, fixed point, period …), found in its closure; not to its amplitude.
-
-    By central differences, forwards from zero, where a lag ends.
+    """Derivatives of a form to the numbers it was drawn with (lag, fixed point, period …), as far as its closure holds them: not to
+    its amplitude, nor to the moment of a jump, which has none. By central differences, of a lag of nothing forwards.
     """
     for place, (name, cell) in enumerate(zip(form.__code__.co_freevars, form.__closure__ or (), strict=True)):
         drawn = cell.cell_contents
-        if name == "span" or not isinstance(drawn, float | np.ndarray) or np.size(drawn) > MOST_NUMBERS:
+        if name in ("span", "moment") or not isinstance(drawn, float | np.ndarray) or np.size(drawn) > MOST_NUMBERS:
             continue
+        no_lag = name == "lag_s" and drawn == 0.0
         for index in range(np.size(drawn)):
             step = np.zeros(np.shape(drawn))
-            step.flat[index] = STEP * max(abs(float(np.ravel(drawn)[index])), 1.0)
-            ends = drawn + step, drawn - step if np.any(drawn) else drawn
+            step.flat[index] = LAG_STEP_S if no_lag else STEP * max(abs(float(np.ravel(drawn)[index])), 1.0)
+            ends = drawn + step, drawn if no_lag else drawn - step
             yield partial(_slope, *(_remade(form, place, end) for end in ends), float(np.sum(ends[0] - ends[1])))
 
 

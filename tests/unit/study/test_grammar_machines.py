@@ -239,4 +239,22 @@ def test_the_slopes_of_a_form_are_its_derivatives_to_what_it_was_drawn_with(stat
     (by_tau,) = (slope(state) for slope in physics.slopes(settles.form))
     expected = -state.time_s / tau_s**2 * np.exp(-state.time_s / tau_s)
     np.testing.assert_allclose(by_tau, expected, rtol=0.02, atol=1e-3 * float(np.max(np.abs(expected))))
+    cycle = next(
+        cause for cause in (physics.draw_cyclic(rng, state) for _ in range(200)) if "× 0.00, uneven 0.00" in cause.text
+    )
+    period_mm, turn = cycle.constants["period_mm"], 2.0 * np.pi * state.x_mm / cycle.constants["period_mm"]
+    names = [name for name in cycle.form.__code__.co_freevars if name not in ("order",)]
+    by = dict(
+        zip((n for n in names for _ in range(2 if n == "phases" else 1)), physics.slopes(cycle.form), strict=False)
+    )
+    phase = np.arctan2(
+        *np.linalg.lstsq(np.column_stack([np.cos(turn), np.sin(turn)]), cycle.form(state), rcond=None)[0]
+    )
+    np.testing.assert_allclose(by["period_mm"](state), -turn / period_mm * np.cos(turn + phase), rtol=1e-3, atol=1e-3)
+    warm = next(c for c in (physics.draw_drift(rng, state) for _ in range(50)) if "lag 0 s" in c.text)
+    (by_lag,) = (slope(state) for slope in physics.slopes(warm.form))
+    place = warm.text.split()[2].removeprefix("temp_").rstrip(",")
+    behind = physics.lagged(state.temperature_c[place], state.time_s, 30.0) - state.temperature_c[place]
+    np.testing.assert_allclose(by_lag, behind / 30.0, atol=1e-12)
     assert not list(physics.slopes(physics.draw_dead_path(rng, state).form))
+    assert not list(physics.slopes(physics.draw_datum(rng, state).form))

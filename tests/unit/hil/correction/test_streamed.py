@@ -17,7 +17,7 @@ from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, T
 from hil.correction.streamed import StreamedCorrection
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects import ALL, Form, NonLinear, Term
-from hil.effects.cyclic import BOTH, FUNDAMENTAL, MODULATED, PER_DIRECTION
+from hil.effects.cyclic import FORMS, FUNDAMENTAL, MODULATED, PER_DIRECTION
 from hil.records.rows import Floats
 
 BY_ID = {effect.id: effect for effect in ALL}
@@ -63,7 +63,11 @@ TERMS = (
     term("velocity_lag", "proportional", ("velocity_mm_s", "direction"), (0.1,)),
     OfTheMotion(),
     term("cyclic", "with third harmonic", ("target_mm",), (1.2, -0.5, 0.3, 0.7), 4.0),
-    *(term("cyclic", name, ("target_mm",), (1.2, -0.5, 0.3, 0.7, 0.2, -0.1), 4.0) for name in BOTH),
+    *(
+        term("cyclic", name, ("target_mm",), (1.2, -0.5, 0.3, 0.7, 0.2, -0.1), 4.0)
+        for name, both in FORMS.items()
+        if all(both)
+    ),
 )
 AMOUNTS, KNOTS = (5.0, 3.0), tuple(0.01 * 1.5**k for k in range(16))
 RISES = (

@@ -111,6 +111,19 @@ def test_a_finding_that_is_not_determined_is_said_in_every_language_too() -> Non
                 assert LATIN.findall(said) == []
 
 
+def test_a_load_on_an_axis_whose_stiff_point_is_not_known_is_said_in_every_language() -> None:
+    vague = (("compliance_at_mid_travel_um_per_kg", 0.52, 0.02), ("compliance_with_position_um_per_kg", 0.011, 0.01))
+    inputs = ("load_kg", "target_mm", "direction")
+    finding = ShownFinding(
+        "load_deflection", 0.9, "compensate", "English.", vague, (), None, "from a stiff point", inputs, 1.46
+    )
+    for language in LANGUAGES:
+        said = sentence(Texts(language), finding)
+        assert said != "English."
+        assert "52" in said
+        assert "011" in said
+
+
 def test_a_users_own_effect_speaks_for_itself() -> None:
     own = ShownFinding("sticky_gearbox", 0.9, "compensate", "It sticks.", (("stick_um", 1.0, 0.1),), (), None, "f", ())
     for language in LANGUAGES:

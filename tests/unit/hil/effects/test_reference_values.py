@@ -477,6 +477,8 @@ def test_a_screw_gives_way_in_proportion_to_its_free_length() -> None:
     assert "held at" in found.effect.explain(found)
     vague = term("load_deflection", "from a stiff point", ["load_kg", "target_mm", "direction"], [0.5, 0.25])
     assert "stiff_point_mm" not in vague.parameters  # 0.25 ± 0.2
+    far = term("load_deflection", "from a stiff point", ["load_kg", "target_mm", "direction"], [0.8, 0.25], **given)
+    assert "stiff_point_mm" not in far.parameters  # more than a travel beyond the end
     assert "held at" not in vague.effect.explain(vague)
 
 
@@ -913,16 +915,25 @@ def test_cyclic_amplitude_and_phase() -> None:
         assert values(more.parameters)[name] == sizes.get(name, (13.0, 0.1))
         assert set(more.parameters) == {"period_mm", "amplitude_um", "phase", name}
         assert "amplitude of 5 ± 0.2 µm, " in more.effect.explain(more)
-    name = "with third harmonic, amplitude changing along the travel"
-    given = [3.0, 4.0, 5.0, 12.0, 0.6, 0.8]  # a change along (3·0.6 + 4·0.8)/5, none across
-    more = term("cyclic", name, ["target_mm"], given, (8.0,), stds=[0.1] * 7, constants=travel)
-    assert values(more.parameters) == {
-        "period_mm": (8.0, pytest.approx(0.1, rel=0.1)),
-        "amplitude_um": (5.0, 0.1),
-        "phase": (pytest.approx(math.atan2(4.0, 3.0)), pytest.approx(0.02, rel=0.9)),
-        "third_harmonic_um": (13.0, 0.1),
-        "change_to_the_ends_um": (1.0, pytest.approx(0.1, rel=0.1)),
-    }
+
+
+@pytest.mark.parametrize(("order", "name"), [(2, "second"), (3, "third")])
+def test_a_harmonic_beside_an_amplitude_that_changes(order: int, name: str) -> None:
+    """3 sin + 4 cos + u (5 sin + 12 cos) as before, with 6 sin + 8 cos of the harmonic, which changes neither period nor phase."""
+    travel = {"centre_mm": 1000.0, "half_span_mm": 100.0}
+    changing = "amplitude changing along the travel"
+    given, stds = [3.0, 4.0, 6.0, 8.0, 5.0, 12.0], [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 1e-4]
+    found = term(
+        "cyclic", f"with {name} harmonic, {changing}", ["target_mm"], given, (8.3,), stds=stds, constants=travel
+    )
+    rest = {"stds": [*stds[:2], *stds[4:]], "constants": travel}
+    alone = term("cyclic", changing, ["target_mm"], [*given[:2], *given[4:]], (8.3,), **rest)
+    harmonic = (10.0, round(math.hypot(0.6 * 0.3, 0.8 * 0.4), 9))
+    assert values(found.parameters) == values(alone.parameters) | {f"{name}_harmonic_um": harmonic}
+    angle = 2.0 * math.pi * 1050.0 / 8.3  # half way from mid-travel to its end
+    wave = 3.0 * math.sin(angle) + 4.0 * math.cos(angle) + 0.5 * (5.0 * math.sin(angle) + 12.0 * math.cos(angle))
+    wave += 6.0 * math.sin(order * angle) + 8.0 * math.cos(order * angle)
+    assert found.error_um({"target_mm": np.array([1050.0])})[0] == pytest.approx(wave)
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
