@@ -31,6 +31,10 @@ MOST_UNSURE = 0.5
 """Relative standard deviation up to which a positive parameter is given as a value; beyond it its interval of two of them would
 hold zero, and it is given as the bounds that the rows do determine.
 """
+POINT_KNOWN_TO = 3.0
+"""Standard deviations by which what changes along the travel must differ from zero for the point where it is zero to be given."""
+FARTHEST_POINT = 3.0
+"""Distance of that point from mid-travel, in half travels, beyond which no machine holds its axis there: a travel past either end."""
 _APART_MM = 1000.0
 """Distance of the two places that a straight error is taken at: of the size of a travel, so that its slope loses no digits."""
 STEP = 1e-4

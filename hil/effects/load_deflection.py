@@ -12,16 +12,23 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import (
+    FARTHEST_POINT,
+    POINT_KNOWN_TO,
+    Action,
+    Columns,
+    Effect,
+    Estimate,
+    Floats,
+    Form,
+    Rival,
+    Term,
+)
 from hil.effects.survey import Survey
 
 UNITS = {"load_kg": "kg", "torque_percent": "%"}
 FROM_A_POINT = "from a stiff point"
 SIMPLE = ("offset", "with direction", "with position", "with direction and position", FROM_A_POINT)
-KNOWN_TO = 3.0
-"""Standard deviations by which the change along the travel must differ from zero for the point where it is zero to be given."""
-FARTHEST = 3.0
-"""Distance of that point from mid-travel, in half travels, beyond which nothing of the machine holds the axis there."""
 ALONG, CURVED, CURVED_REVERSAL = "offset and with direction and position", "curved", "curved with direction"
 
 
@@ -102,7 +109,7 @@ def stiff_point_mm(term: Term) -> Estimate | None:
     do not know it, or where nothing is that far outside the travel.
     """
     at_middle, change = term.coefficient(0), term.coefficient(1)
-    if abs(change.value) <= max(KNOWN_TO * change.std, abs(at_middle.value) / FARTHEST):
+    if abs(change.value) <= max(POINT_KNOWN_TO * change.std, abs(at_middle.value) / FARTHEST_POINT):
         return None
     centre, half_span = term.form.constants["centre_mm"], term.form.constants["half_span_mm"]
     return term.derived(lambda c, _: centre - half_span * float(c[0] / c[1]))

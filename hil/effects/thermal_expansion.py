@@ -14,7 +14,19 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
+from hil.effects.base import (
+    FARTHEST_POINT,
+    POINT_KNOWN_TO,
+    UM_PER_MM_PPM,
+    Action,
+    Columns,
+    Effect,
+    Estimate,
+    Floats,
+    Form,
+    Rival,
+    Term,
+)
 from hil.effects.survey import Survey
 from hil.effects.warming import (
     ABOUT_A_POINT,
@@ -34,12 +46,6 @@ STEEL_TO_ALUMINIUM_PPM_K = (2.0, 35.0)
 """Low-expansion alloys to above aluminium (about 23); a steel screw is 11 to 12."""
 OF_WHAT_GROWS = ("temp_screw_c", "temp_scale_c")
 """Temperatures of what the position is taken from, by the name of their place: the growth follows one of them sooner than another."""
-FARTHEST = 3.0
-"""Distance of the fixed point from mid-travel, in half travels, beyond which no machine holds its screw: one travel past
-either end.
-"""
-KNOWN_TO = 3.0
-"""Standard deviations by which the growth must differ from zero for the point it is about to be given as a value."""
 
 
 class ThermalExpansion(Effect):
@@ -130,7 +136,7 @@ class ThermalExpansion(Effect):
         if is_about_a_point(term.form) and term.coefficients[0]:
             point = _zero_mm(term)
             travel = term.form.constants
-            if point is not None and abs(point - travel["centre_mm"]) > FARTHEST * travel["half_span_mm"]:
+            if point is not None and abs(point - travel["centre_mm"]) > FARTHEST_POINT * travel["half_span_mm"]:
                 return f"a fixed point at {point:.4g} mm lies more than a travel outside the travel"
         if is_since_start(term.form):
             return None
@@ -175,7 +181,7 @@ def fixed_point_mm(term: Term) -> Estimate | None:
     growth there is not known well enough for a quotient by it.
     """
     growth = term.coefficient(0)
-    if not is_about_a_point(term.form) or abs(growth.value) <= KNOWN_TO * growth.std:
+    if not is_about_a_point(term.form) or abs(growth.value) <= POINT_KNOWN_TO * growth.std:
         return None
     point = _zero_mm(term)
     if point is None:
@@ -188,6 +194,6 @@ def fixed_point_mm(term: Term) -> Estimate | None:
         half = term.form.constants["half_span_mm"]
         value[2], slope[2] = (point - centre) ** 2 / (2.0 * half), (point - centre) / half
     steep = growth.value + 2.0 * bend * (point - centre)
-    if abs(steep) <= KNOWN_TO * math.sqrt(max(float(slope @ covariance @ slope), 0.0)):
+    if abs(steep) <= POINT_KNOWN_TO * math.sqrt(max(float(slope @ covariance @ slope), 0.0)):
         return None
     return Estimate(point, math.sqrt(max(float(value @ covariance @ value), 0.0)) / abs(steep))

@@ -2,8 +2,8 @@
 
 A body of a machine warms up and cools down over minutes; what its thermometer says differs from row to row by some hundredths of a
 kelvin. Read row by row, these move the correction of an axis of a metre with 12 ppm/K by half a micrometre; and in a fit a lag that
-only averages them is better than none. Air that is read 0.02 K and 0.05 hPa apart says a dead path of three metres 0.07 µm apart, and
-then a reading that wanders fits better.
+only averages them is better than none. Of the air, 0.02 K and 0.05 hPa of noise are 0.07 µm on a dead path of three metres, and
+a reading that wanders then fits better.
 
 Whittaker's smoother (1923) on the times of the rows: the sum of squared differences to the readings, plus λ times the integral of the
 squared slope (a temperature that is a random walk) or of the squared bend (whose slope is one). λ and which of the two by restricted
@@ -27,16 +27,16 @@ Floats = NDArray[np.float64]
 TEMPERATURE = re.compile(r"temp_\w+_c")
 """Names of the columns of the machine's temperatures."""
 AIR = {"air_temp_c": 0.05, "air_pressure_hpa": 0.06, "air_humidity_percent": 0.5}
-"""Noise of a sensor of the air, in its unit, up to which it is the sensor's: a resolution of 0.2 hPa has 0.06. What the air does from
-row to row within it is lost, of a dead path of a metre 0.05 µm: temperature and humidity of one place do not tell those of the whole
-path that fast, the pressure would.
+"""Noise of a sensor of the air, in its unit, up to which it is the sensor's: a resolution of 0.2 hPa has 0.06. What the air does
+from row to row within it is lost: on a dead path of a metre 0.05 µm by the temperature and 0.02 µm by the pressure. A thermometer
+does not tell the whole path that fast, a barometer would.
 """
 MOST_NOISE_K = 0.05
 """Noise of a reading, standard deviation, up to which it is the thermometer's: a body of a machine does not leap by it between two
 rows, and a resolution of a tenth of a kelvin has 0.03 K. Beyond it the readings are taken as they are.
 """
 LEAST_NOISE = 1e-4
-"""Noise below which it does not matter: readings without any would have no likelihood."""
+"""Noise below which it does not matter, in the unit of the readings: without any they would have no likelihood."""
 FARTHEST = 6.0
 """Largest difference of a reading to the course, in standard deviations of the noise: beyond it something else happened, and the
 readings are taken as they are.
@@ -129,9 +129,9 @@ def _readings(time: Floats, reading: Floats) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True)
 class _Moments:
-    """Readings averaged over moments. time: in median intervals, ascending; count: readings of each; value: their mean, K; each (m,).
+    """Readings averaged over moments. time: in median intervals, ascending; count: readings of each; value: their mean; each (m,).
 
-    spread: sum of squares of the readings about a straight course through their moment, K²
+    spread: sum of squares of the readings about a straight course through their moment
     """
 
     time: Floats
@@ -170,7 +170,7 @@ class _Moments:
 @dataclass(frozen=True)
 class _Course:
     """A smooth course of the values. course: (m,); worth: its restricted log-likelihood beside a straight line; noise: standard
-    deviation of a reading about it, K.
+    deviation of a reading about it.
     """
 
     course: Floats

@@ -197,8 +197,9 @@ def is_of_a_wander(columns: Collection[str], choices: Sequence[Choice], survey: 
     """Whether a function of some columns is one of the time and what changes with it, where these choices are a reading that wanders:
     it is no other cause then.
     """
-    slow = {survey.time_column, *survey.temperatures, *SENSORS}
-    return any(c.form.shrunk for c in choices) and survey.time_column in columns and set(columns) <= slow
+    if survey.time_column not in columns or not any(choice.form.shrunk for choice in choices):
+        return False
+    return set(columns) <= {survey.time_column, *survey.temperatures, *SENSORS}
 
 
 def _contests(

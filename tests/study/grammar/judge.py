@@ -84,7 +84,8 @@ def _fitted_left(drawn: Drawn, reference: Reference, *, every_parameter: bool = 
     """
     here, there = [np.zeros((len(drawn.fit.state), 0))], [np.zeros((len(drawn.fresh.state), 0))]
     for cause, held in zip(drawn.causes, drawn.held, strict=True):
-        for form in () if held else (cause.form, *(slopes(cause.form) if every_parameter else ())):
+        beside = [slope for _, slope in slopes(cause.form)] if every_parameter else []
+        for form in [] if held else [cause.form, *beside]:
             course = form(drawn.fit.state)
             if (size := float(np.linalg.norm(course))) > 0.0:
                 here.append(course[:, None] / size)

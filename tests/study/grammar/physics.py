@@ -52,9 +52,9 @@ class Cause:
         return np.asarray(self.amplitude * self.form(state))
 
 
-def slopes(form: Form) -> Iterator[Form]:
-    """Derivatives of a form to the numbers it was drawn with (lag, fixed point, period …), as far as its closure holds them: not to
-    its amplitude, nor to the moment of a jump, which has none. By central differences, of a lag of nothing forwards.
+def slopes(form: Form) -> Iterator[tuple[str, Form]]:
+    """Derivatives of a form to the numbers it was drawn with (lag, fixed point, period …), with their names, as far as its closure
+    holds them: not to its amplitude, nor to the moment of a jump, which has none. Central differences; of a lag of nothing forwards.
     """
     for place, (name, cell) in enumerate(zip(form.__code__.co_freevars, form.__closure__ or (), strict=True)):
         drawn = cell.cell_contents
@@ -65,7 +65,7 @@ def slopes(form: Form) -> Iterator[Form]:
             step = np.zeros(np.shape(drawn))
             step.flat[index] = LAG_STEP_S if no_lag else STEP * max(abs(float(np.ravel(drawn)[index])), 1.0)
             ends = drawn + step, drawn if no_lag else drawn - step
-            yield partial(_slope, *(_remade(form, place, end) for end in ends), float(np.sum(ends[0] - ends[1])))
+            yield name, partial(_slope, *(_remade(form, place, end) for end in ends), float(np.sum(ends[0] - ends[1])))
 
 
 def _slope(above: Form, below: Form, apart: float, state: State) -> Floats:

@@ -10,7 +10,7 @@ from scipy.interpolate import make_smoothing_spline
 
 from hil.effects import ALL, Form, Term
 from hil.effects.history import Course, complete, lagged, through
-from hil.effects.thermometers import MOST_NOISE_K, without_noise
+from hil.effects.thermometers import MOST_NOISE_K, MOST_ROWS_KEPT, without_noise
 
 ROWS = 300
 NOISE_K = 0.03
@@ -190,6 +190,8 @@ def test_a_course_that_is_kept_cannot_be_changed_from_outside() -> None:
     with pytest.raises(ValueError, match="read-only"):
         found += 1.0
     assert without_noise(time_s, reading.copy()) is found  # the same readings are smoothed once
+    long = np.arange(MOST_ROWS_KEPT + 1.0), np.tile(reading, MOST_ROWS_KEPT // ROWS + 1)[: MOST_ROWS_KEPT + 1]
+    assert without_noise(*long) is not without_noise(*long)  # but not of a record that takes much memory
 
 
 READINGS = st.lists(st.tuples(st.floats(1.0, 300.0), st.floats(-20.0, 80.0)), min_size=1, max_size=30)
