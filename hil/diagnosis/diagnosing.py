@@ -43,6 +43,7 @@ from hil.diagnosis.verdict.rivals import (
     courses_as_good,
     is_unsure,
     separating,
+    set_anew,
     unrecorded,
     weights_of,
     with_rivals,
@@ -74,12 +75,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     campaign = problem.campaign
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
-    few = on_few_rows(chosen)
-    chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
-    lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
-    if lost:
-        chosen = refitted_without(chosen, lost, chosen.last.noise)
-    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.hits)
+    chosen, few = without_resembling(chosen)
+    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
     required: set[str] = set()
     if left and dropped:
         chosen, left, required = required_all_the_same(chosen, dropped, left)
@@ -119,7 +116,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         or f.effect in courses
         or is_unsure(f, findings, campaign)
         or _is_mostly_in_table(f, chosen, campaign)
-    } | required
+    }
+    doubted |= required | set_anew(chosen)
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     findings = with_rivals(
         findings, doubted, unrecorded(effects, campaign.survey, records.columns), records.columns, carriers
@@ -182,7 +180,7 @@ def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> JointFit | N
 def smooth_fit(selected: Selected, choices: Sequence[Choice]) -> tuple[JointFit, Noise]:
     """The fit of some choices beside a table as smooth as the rows show, and its noise model."""
     noise = selected.searcher.smooth(choices, selected.noise)
-    return selected.searcher.fit(choices, noise), noise
+    return selected.searcher.fit_of_unknown_noise(choices, noise), noise
 
 
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
@@ -294,6 +292,16 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
 
 
+def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str]]:
+    """Removes the effects that only resemble what the rows hold: a few rows far off, whose effects it returns too, or a function of
+    other columns.
+    """
+    few = on_few_rows(chosen)
+    chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
+    lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
+    return (refitted_without(chosen, lost, chosen.last.noise) if lost else chosen), few
+
+
 def required_all_the_same(
     chosen: Chosen, dropped: Collection[str], left: tuple[LeftOver, ...]
 ) -> tuple[Chosen, tuple[LeftOver, ...], set[str]]:
@@ -340,10 +348,10 @@ def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
     """
     if _is_wander(left, chosen, campaign) and not left.equivalent:
         return True
-    shared = {"target_mm", "direction", campaign.survey.time_column}
+    shared = {"direction", campaign.survey.time_column}
     projection = _of_equal_rows(chosen)
     return any(
-        set(left.columns) <= shared | set(term.needs)
+        set(left.columns) <= shared.union(term.needs)
         and left.rms.value < policy().shape * _beside_table_um(projection, term, campaign)
         for term in chosen.fit.found
     )
@@ -485,7 +493,7 @@ def _carried_without(
 ) -> Iterator[Carrier]:
     """What carries the rest where the effects whose names are not sure are taken away."""
     without = refitted_without(chosen, _unsure(findings), noise)
-    left = left_over(without.last.searcher, without.kept, noise, without.hits)
+    left = left_over(without.last.searcher, without.kept, noise, without.unclaimed)
     yield from _carriers(without, {}, (), left, campaign)
 
 

@@ -179,6 +179,12 @@ class Policy:
     )
     simpler: float = _number(1.0, LOG, "that a pair of columns must have beyond one alone", "set by hand")
     as_good: float = _number(3.0, LOG, "below the best within which a noise model is kept", "an earlier trial; 20 to 1")
+    most_uneven: float = _number(
+        4.0,
+        NOISE,
+        "of a run, a speed or a part of the travel, over the usual: what varies more is no noise",
+        "set by hand",
+    )
     pseudo_rows: float = _number(
         10.0, "rows", "of average noise in each group before its scale is taken", "an earlier trial"
     )

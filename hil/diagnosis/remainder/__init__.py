@@ -62,6 +62,7 @@ def left_over(
     columns = waves.variables(campaign)
     if not columns:
         return ()
+    signed = waves.variables(campaign, signed=True)  # a function of the speed may be the noise of a few fast rows
     beside = _beside(searcher, choices, noise, without)
     linear = LinearCampaign(campaign)
     null = Null.of(linear, searcher.y, beside, noise)
@@ -72,7 +73,7 @@ def left_over(
     equivalent: dict[tuple[str, ...], dict[str, tuple[str, ...]]] = {}
     for _ in range(MOST_ROUNDS):
         scanned = waves.scan(null, columns)
-        best = _clearest_block(null, columns, x, d) if scanned.score < policy().scan_fires_at else None
+        best = _clearest_block(null, signed, x, d) if scanned.score < policy().scan_fires_at else None
         carrier: Carried | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
             carrier = carried(null, columns, scanned, best, d)
@@ -111,14 +112,14 @@ def left_over(
 
 
 def _same(known: tuple[str, ...], equivalent: dict[str, tuple[str, ...]], carrier: Carried) -> bool:
-    """Whether a carrier's columns are those of one found before, or move together with them: then both are parts of one cause."""
+    """Whether a carrier's columns are among those of one found before, or move with them: then both are parts of one cause."""
     columns = carrier.block.columns
-    return len(columns) == len(known) and any(
+    return any(
         all(
             one == other or one in equivalent.get(other, ()) or other in carrier.equivalent.get(one, ())
             for one, other in zip(columns, order, strict=True)
         )
-        for order in itertools.permutations(known)
+        for order in itertools.permutations(known, len(columns))
     )
 
 
@@ -162,7 +163,7 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
 def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None) -> Block | None:
     """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model."""
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
-    kinds = ((_smooth(columns), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))
+    kinds = ((_smooth(columns, d), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))
     best: list[tuple[float, Block]] = []
     for designs, limit in kinds:
         clearest = max((blocks.block(null, *one) for one in designs), key=lambda trial: trial.evidence, default=None)
@@ -174,11 +175,13 @@ def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None,
     return max(best, key=lambda one: one[0])[1] if best else None
 
 
-def _smooth(columns: Sequence[Variable]) -> Iterator[tuple[tuple[str, ...], Floats]]:
-    """Names and design of each column and of each pair of columns."""
+def _smooth(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
+    """Names and design of each column, with the direction and without, and of each pair of columns."""
     for v in columns:
         if v.name != "target_mm":
             yield (v.name,), blocks.design_of(v, None, None)
+            if d is not None:
+                yield (v.name, "direction"), blocks.design_of(v, None, d)
     for first, second in itertools.combinations(columns, 2):
         names = first.name, second.name
         yield names, blocks.design_of(first, second, None)

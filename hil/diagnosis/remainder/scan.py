@@ -8,6 +8,7 @@ share of the residual sum of squares is Beta distributed, whatever the columns.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,6 +43,8 @@ LEFT = 1e-4
 """Share of a product's squared norm that must be left beside the null; single precision resolves no less."""
 BATCH = 1024
 """Groups tested together."""
+WIDTHS = (2, 4)
+"""Columns of a group of one column and of a product of two."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +135,12 @@ class Scan:
         return self.best[0][1] if self.best else -np.inf
 
 
-def variables(campaign: CampaignRows) -> tuple[Variable, ...]:
-    """The columns that vary and may carry something."""
-    return tuple(scaled(name, campaign.columns[name]) for name in usable_columns(campaign))
+def variables(campaign: CampaignRows, *, signed: bool = False) -> tuple[Variable, ...]:
+    """The columns that vary and may carry something; the velocity as a speed where the direction tells its sign, if not `signed`."""
+    values = {name: campaign.columns[name] for name in usable_columns(campaign)}
+    if "velocity_mm_s" in values and campaign.survey.has("direction") and not signed:
+        values["velocity_mm_s"] = np.abs(values["velocity_mm_s"])
+    return tuple(scaled(name, one) for name, one in values.items() if np.ptp(one) > 0.0)
 
 
 def scaled(name: str, values: Floats) -> Variable:
@@ -148,28 +154,33 @@ def scaled(name: str, values: Floats) -> Variable:
 
 
 def scan(null: Null, columns: Sequence[Variable]) -> Scan:
-    """Tests every group under the best noise model, and the best ones again under those nearly as good; the worst counts."""
+    """Tests every group under the best noise model, and the best ones again under those nearly as good; the worst counts.
+
+    Waves of one column share half of the chance of a false alarm, products of two the other half: of these there are thirty times as
+    many.
+    """
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None
-    found: list[tuple[float, Group]] = []
     batches: list[tuple[Sequence[Group], Floats]] = []
     for groups, design in _batches(columns, d):
-        scores = -log10_probability(null.best, design)
-        top = np.argsort(-scores)[:RESCORED]
-        found.extend((float(scores[i]), groups[i]) for i in top)
-        found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
-        batches.append((groups, scores))
-    known = float(np.log10(max(sum(len(groups) for groups, _ in batches), 1)))
+        batches.append((groups, -log10_probability(null.best, design)))
+    tests = {width: sum(len(groups) for groups, _ in batches if groups[0].width == width) for width in WIDTHS}
+    known = {width: math.log10(len(WIDTHS) * max(count, 1)) for width, count in tests.items()}
+    found: list[tuple[float, Group]] = []
+    for tested, raw in batches:
+        top = np.argsort(-raw)[:RESCORED]
+        found.extend((float(raw[i]) - known[tested[0].width], tested[i]) for i in top)
+    found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
     scores = np.array([score for score, _ in found])
-    for width in (2, 4):
-        mine = [i for i, (score, group) in enumerate(found) if group.width == width and score > known]
+    for width in WIDTHS:
+        mine = [i for i, (score, group) in enumerate(found) if group.width == width and score > 0.0]
         if not mine:
             continue
         designs = [found[i][1].design(campaign.d) for i in mine]
         stacked = np.stack([design.T for design in designs]).astype(np.float32)
         for projection in null.nearly_as_good:
-            scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked))
-    best = [(group, float(score) - known) for (_, group), score in zip(found, scores, strict=True)]
+            scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked) - known[width])
+    best = [(group, float(score)) for (_, group), score in zip(found, scores, strict=True)]
     return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tuple(batches))
 
 

@@ -116,6 +116,13 @@ class Chosen:
         return tuple(hit for selected in self.selections for hit in selected.hits)
 
     @property
+    def unclaimed(self) -> tuple[Hit, ...]:
+        """The same, and the misfits of effects where some of these were taken away since: nobody's then."""
+        if len(self.kept) == len(self.last.choices):
+            return self.hits
+        return (*self.hits, *(shape for selected in self.selections for shape in selected.shapes))
+
+    @property
     def kept(self) -> tuple[Choice, ...]:
         """The choices of the last selection whose effects are in the fit."""
         names = {term.effect.id for term in self.fit.found}

@@ -13,6 +13,7 @@ from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from hil.diagnosis.noise.evidence import Extra, Noise, Projection
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
@@ -20,7 +21,7 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates
 from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, Setting, joint_fit
 from hil.diagnosis.table import DeclaredShape
-from hil.effects import Estimate
+from hil.effects import Estimate, Term
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -32,6 +33,10 @@ GRID = tuple(
     for offset in (0.0, 0.25, 0.6)
 )
 """Noise models over which each candidate is profiled."""
+LEAST_WEIGHT = 0.01
+"""Weight over that of the best noise model, from which one counts for the uncertainties."""
+LEAST_FREEDOM = 2.0
+"""Degrees of freedom of a variance at least: with fewer Student's t has none."""
 MOST_PROJECTIONS = 40
 CONTENDERS = 8
 RICH_CONTENDERS = 3
@@ -92,6 +97,28 @@ class Searcher:
         return joint_fit(
             self.setting, noise, self.y, choices, out=self.out, nuisance=self.nuisance, uncertain=uncertain
         )
+
+    def fit_of_unknown_noise(self, choices: Sequence[Choice], noise: Noise) -> JointFit:
+        """The fit under a noise model with the uncertainties of a noise that few runs show: over the grid of noise models.
+
+        Weighed by evidence without a prior, for that on offsets and memory serves the search. The covariance of each term is the mean
+        of those under the models and the scatter of its coefficients between them; its spread gives degrees of freedom, and by these
+        twice the standard uncertainty covers 95 % of Student's t (JCGM 100, G.3 and G.4).
+        """
+        best = self.fit(choices, noise)
+        if not choices:
+            return best
+        extra = self.extra(choices)
+        trials = list(dict.fromkeys([noise, *(with_point(noise, *point) for point in GRID)]))
+        odds = np.array([self._evidence(choices, extra, trial) - trial.log_prior() for trial in trials])
+        weight = np.exp(odds - np.max(odds))
+        kept = np.flatnonzero(weight > LEAST_WEIGHT)
+        fits = [self.fit(choices, trials[i]) for i in kept]
+        covariances = [
+            mixed_covariance(term, [fit.found[i] for fit in fits], weight[kept] / np.sum(weight[kept]))
+            for i, term in enumerate(best.found)
+        ]
+        return best.with_covariances(covariances)
 
     def extra(self, choices: Sequence[Choice]) -> Extra:
         """The columns of some choices, and those of every fit."""
@@ -162,6 +189,20 @@ class Searcher:
         values = [self._evidence(choices, extra, trial) for trial in trials]
         best = int(np.argmax(values))
         return values[best], trials[best]
+
+
+def mixed_covariance(term: Term, under: Sequence[Term], weight: Floats) -> Floats:
+    """Covariance of a term from its estimates under several noise models of these weights, (m,); see `fit_of_unknown_noise`."""
+    each = np.array([one.covariance for one in under])
+    moved = np.zeros((len(under), len(each[0])))
+    moved[:, : len(term.coefficients)] = np.array([one.coefficients for one in under]) - term.coefficients
+    within = np.einsum("m,mij->ij", weight, each)
+    variance = np.diag(within)
+    spread = weight @ (np.einsum("mii->mi", each) - variance) ** 2
+    freedom = np.maximum(2.0 * variance**2 / np.maximum(spread, 1e-12 * variance**2 + 1e-300), LEAST_FREEDOM)
+    wider = stdtrit(freedom, 0.975) / stdtrit(1e9, 0.975)
+    whole = within + np.einsum("m,mi,mj->ij", weight, moved, moved)
+    return np.asarray(whole * np.outer(wider, wider))
 
 
 class ConditionalSearch:

@@ -194,10 +194,10 @@ def _foreign(
 
 
 def is_of_a_wander(columns: Collection[str], choices: Sequence[Choice], survey: Survey) -> bool:
-    """Whether a function of some columns is one of the time and what changes with it, where these choices are a reading that wanders:
-    it is no other cause then.
+    """Whether a function of some columns is one of the time or of what changes with it, and these choices are a reading that wanders:
+    then it is no other cause. Of 270 outside causes of the grammar none was a wander first; of 40 wanders 5 were taken for one.
     """
-    if survey.time_column not in columns or not any(choice.form.shrunk for choice in choices):
+    if not any(choice.form.shrunk for choice in choices):
         return False
     return set(columns) <= {survey.time_column, *survey.temperatures, *SENSORS}
 

@@ -155,20 +155,18 @@ def _groups(hits: Sequence[Hit]) -> list[list[int]]:
 
 
 def places_of(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
-    """Indices of the columns of each hit among the columns (n, s), which hold them in this order. Raises LookupError
-    for a missing one.
-    """
+    """Indices of the columns of each hit among the columns (n, s). Raises LookupError for a missing one."""
     out: list[NDArray[np.int64]] = []
-    start = 0
+    taken: set[int] = set()
     for hit in hits:
         block = hit.extra.random
         width = block.shape[1]
-        while not np.array_equal(columns[:, start : start + width], block):
-            start += 1
-            if start + width > columns.shape[1]:
-                raise LookupError("a structure is not among the columns of the fit")
+        starts = (i for i in range(columns.shape[1] - width + 1) if i not in taken)
+        start = next((i for i in starts if np.array_equal(columns[:, i : i + width], block)), None)
+        if start is None:
+            raise LookupError("a structure is not among the columns of the fit")
         out.append(np.arange(start, start + width))
-        start += width
+        taken.update(range(start, start + width))
     return out
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.noise.evidence import Noise, random_gain, run_columns
 from hil.diagnosis.policy import policy
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.diagnosis.search.choose import Chosen
@@ -125,14 +125,36 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
     return wanders or len(finding.terms) > 1 or is_between_runs(finding.term.error_um(campaign.columns), campaign)
 
 
+def set_anew(chosen: Chosen) -> set[str]:
+    """Effects in whose place a slope along the travel of its own for each run fits the rows better.
+
+    What was set anew from run to run and not recorded, a load or the place of another axis, tilts the error so, and the columns of the
+    effect only happen to go with it.
+    """
+    last, kept = chosen.last, chosen.kept
+    campaign = last.searcher.linear.campaign
+    slopes = run_columns(campaign) * (campaign.x - np.mean(campaign.x))[:, None] / np.std(campaign.x)
+    out: set[str] = set()
+    for name in {choice.effect.id for choice in kept if not choice.effect.static}:
+        mine = [choice for choice in kept if choice.effect.id == name]
+        if slopes.shape[1] <= len(mine) or any(choice.form.shrunk for choice in mine):
+            continue
+        others = [choice for choice in kept if choice.effect.id != name]
+        projection = last.searcher.projection(last.noise, last.searcher.extra(others))
+        gain = projection.gain(np.hstack([choice.columns(campaign) for choice in mine]))
+        if float(random_gain(projection, slopes)[0]) > gain:
+            out.add(name)
+    return out
+
+
 def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> dict[str, tuple[str, ...]]:
     """By effect, the rival that follows one column nobody recorded, where that column goes with those that were recorded.
 
     The motor's torque goes with speed, load and direction: a deflection by torque where the speed is not known may be a lag; a lag
     where neither load nor torque is known may be a deflection, and beside a deflection, where one of them is not, the rest of it. A
     tilt goes with load and with temperature: a deflection beside a slow course may be both of it, an arm times an angle that was not
-    measured. The air of the shop warms with the machine: a drift with a temperature may be that of a dead path, and a growth that no
-    material has that of the air's index.
+    measured; an arm where the load is not known may be a deflection. The air of the shop warms with the machine: a drift with a
+    temperature may be that of a dead path, and a growth that no material has that of the air's index.
     """
     found = {finding.effect: finding.term for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
@@ -144,6 +166,8 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     slow = SLOW & set(found)
     if deflection is not None and slow and not set(ANGLES) <= set(recorded):
         out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
+    if "abbe" in found and deflection is None and "load_kg" not in recorded:
+        out["abbe"] = ("load_deflection",)
     if "air_temp_c" not in recorded:
         for name, by_air in (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index")):
             term = found.get(name)

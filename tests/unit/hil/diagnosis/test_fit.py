@@ -8,7 +8,18 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.noise.evidence import LinearCampaign, Noise
-from hil.diagnosis.search.fit import Choice, Known, Setting, fit_model, grid_choices, joint_fit, static_part
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import (
+    Choice,
+    Known,
+    Setting,
+    fit_model,
+    grid_choices,
+    joint_fit,
+    start_noise,
+    static_part,
+)
+from hil.diagnosis.search.searcher import Searcher, mixed_covariance
 from hil.diagnosis.table import DeclaredShape
 from hil.effects import Action, Form, Term
 from hil.effects.air_index import AirIndex
@@ -17,6 +28,7 @@ from hil.effects.cyclic import Cyclic
 from hil.effects.datum_step import DatumStep
 from hil.effects.model import Model, PitchTable
 from hil.effects.pitch_shape import PitchShape
+from hil.effects.thermal_drift import ThermalDrift
 from hil.effects.velocity_lag import VelocityLag
 
 Array = np.ndarray
@@ -126,3 +138,40 @@ def test_a_table_has_absorbed_a_static_effect_but_never_one_that_is_a_table() ->
     assert alone is not None
     x, d = prepared.x, prepared.d
     np.testing.assert_array_equal(beside.at(x, d), alone.at(x, d))
+
+
+def test_a_noise_that_few_runs_show_makes_uncertainties_wider() -> None:
+    """By hand: two noise models of equal weight, variances 1 and 3 and coefficients 0.5 apart; 8 degrees of freedom, t = 2.306."""
+    term = Term(Backlash(), Form("backlash", "mean", ("direction",)), (), (2.0,), ((1.0,),))
+    other = Term(Backlash(), term.form, (), (2.5,), ((3.0,),))
+    ((variance,),) = mixed_covariance(term, [term, other], np.array([0.5, 0.5]))
+    assert variance == pytest.approx((2.0 + 0.5 * 0.5**2) * (2.306 / 1.96) ** 2, rel=1e-3)
+    ((alone,),) = mixed_covariance(term, [term], np.array([1.0]))
+    assert alone == pytest.approx(1.0, rel=1e-6)
+
+
+def test_twice_the_stated_uncertainty_covers_most_true_values_where_noise_remembers() -> None:
+    """Noise that remembers ten rows, about a drift with a temperature: the fitted noise model alone covers fewer."""
+    off = []
+    for seed in range(40):
+        rng = np.random.default_rng(2000 + seed)
+        memory = np.zeros(144)
+        for i in range(144):
+            memory[i] = (0.9 * memory[i - 1] if i % 24 else 0.0) + np.sqrt(0.19 if i % 24 else 1.0) * rng.normal()
+        records = campaign(
+            lambda c: wavy(c) + 2.0 * (c["temp_screw_c"] - 20.0),
+            noise_um=0.3 * rng.normal(size=144) + 0.25 * memory,
+            sensors=lambda c, _: {"temp_screw_c": 20.0 + 2.0 * np.sin(8.2 * c["time_s"] / c["time_s"][-1] + 1.0)},
+            seed=seed,
+        )
+        rows = prepare(records)
+        searcher = Searcher(Setting.free(rows), enumerate_candidates(rows, (ThermalDrift(),)))
+        form = next(form for form in ThermalDrift().forms(rows.survey) if form.name == "temperature")
+        (choice,) = grid_choices(ThermalDrift(), form)
+        noise = searcher.fit_noise([choice], start_noise(rows))
+        fits = searcher.fit([choice], noise), searcher.fit_of_unknown_noise([choice], noise)
+        assert fits[0].found[0].coefficients == fits[1].found[0].coefficients
+        assert fits[1].extended.terms == fits[1].found
+        off.append([(fit.found[0].coefficients[0] - 2.0) / np.sqrt(fit.found[0].covariance[0][0]) for fit in fits])
+    before, after = np.sqrt(np.mean(np.square(off), axis=0))
+    assert 0.9 < after < 1.1 < before

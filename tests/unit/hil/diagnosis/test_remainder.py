@@ -16,7 +16,7 @@ from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import AllRows, prepare
 from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
-from hil.diagnosis.policy import Policy, in_force
+from hil.diagnosis.policy import Policy, in_force, policy
 from hil.diagnosis.remainder import LeftOver, carriers, left_over
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
@@ -138,6 +138,54 @@ def test_a_score_holds_under_every_noise_model_that_fits_nearly_as_well() -> Non
     assert common
     assert all(worst[group] <= best_alone[group] + 1e-6 for group in common)
     assert any(worst[group] < best_alone[group] - 1e-3 for group in common)
+
+
+def test_one_column_has_half_of_the_chance_of_a_false_alarm_and_products_of_two_the_other_half() -> None:
+    campaign = prepare(workshop(11, beat, ratio=1.0, noise_um=NOISE_UM)[0])
+    searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
+    null = Null.of(searcher.linear, searcher.y, searcher.always, start_noise(campaign))
+    found = scan(replace(null, others=()), variables(campaign))
+    for width in (2, 4):
+        mine = [(groups, scores) for groups, scores in found.batches if groups[0].width == width]
+        raw = {group: float(score) for groups, scores in mine for group, score in zip(groups, scores, strict=True)}
+        best = [(group, score) for group, score in found.best if group.width == width]
+        assert best
+        for group, score in best:
+            assert score == pytest.approx(raw[group] - np.log10(2 * len(raw)), abs=1e-6)
+
+
+def test_a_speed_is_what_noise_and_causes_follow_where_the_direction_tells_the_sign() -> None:
+    columns = workshop(5, tails="faster")[0].columns
+    velocity = columns["velocity_mm_s"] * columns["direction"]
+    campaign = prepare(Records.of({**columns, "velocity_mm_s": velocity}))
+    assert np.any(velocity < 0.0)
+    by_sign, by_size = (
+        {v.name: v for v in variables(campaign, signed=one)}["velocity_mm_s"].u for one in (True, False)
+    )
+    assert np.corrcoef(by_sign, velocity)[0, 1] == pytest.approx(1.0)
+    assert np.corrcoef(by_size, np.abs(velocity))[0, 1] == pytest.approx(1.0)
+
+
+def test_what_varies_far_more_than_the_rest_is_not_all_taken_for_noise() -> None:
+    campaign = prepare(workshop(5)[0])
+    one = campaign.run == 1
+    size = np.random.default_rng(3).normal(size=len(campaign)) * np.where(one, 15.0, 1.0)
+    scale = row_scale(size, campaign)
+    assert np.median(scale[one]) / np.median(scale[~one]) < 1.2 * policy().most_uneven
+
+
+@pytest.mark.parametrize("seed", [802541, 802583], ids=["its finding was taken away", "along the travel"])
+def test_a_misfit_that_no_effect_has_is_unexplained(seed: int) -> None:
+    """A load that a few rows showed, and a lag: neither has what is left, a course of time or a wave along the travel."""
+    assert outcome("outside weak", seed)["said"]["unexplained"]
+
+
+def test_what_was_set_anew_from_run_to_run_is_a_rival_of_what_goes_with_it() -> None:
+    """A load that nobody logged, along the travel: the temperatures happened to go with it, and were sure of it."""
+    (finding,) = outcome("missing", 802619)["said"]["findings"]
+    assert finding["effect"] == "thermal_expansion"
+    assert finding["confidence"] < 0.7
+    assert {"unexplained", "load_deflection"} <= {name for name, _ in finding["rivals"]}
 
 
 @pytest.mark.parametrize("tails", ["normal", "heavy", "faster"])
@@ -507,6 +555,9 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
     without_yaw = [name for name in whole if name != "yaw_urad"]
     assert not_told_apart([by_load, drift], without_yaw) == {"load_deflection": ("abbe",), "thermal_drift": ("abbe",)}
     assert not_told_apart([by_load], without_yaw) == {}, "a deflection alone is one cause as it is"
+    arm = finding_of("abbe", "pitch_urad")
+    assert not_told_apart([arm], whole) == {}
+    assert not_told_apart([arm], [name for name in whole if name != "load_kg"]) == {"abbe": ("load_deflection",)}
     without_air = [name for name in whole if name != "air_temp_c"]
     assert not_told_apart([drift], without_air) == {"thermal_drift": ("dead_path",)}
     settling = finding_of("thermal_drift", "time_s")

@@ -78,7 +78,9 @@ def test_nothing_is_selected_from_noise() -> None:
 
 
 def test_a_reading_that_wanders_keeps_its_name_beside_what_changes_with_the_time() -> None:
-    """A product of the time and a temperature may be that; one of the time and the flow of the coolant is another cause."""
+    """A product of the time and a temperature may be that, and so may what follows temperatures alone, as they follow the time; one of
+    the time and the flow of the coolant is another cause.
+    """
 
     def times_time(column: str) -> Selected:
         def course(c: dict[str, Array]) -> Array:
@@ -88,6 +90,7 @@ def test_a_reading_that_wanders_keeps_its_name_beside_what_changes_with_the_time
 
     wanders, flows = times_time("temp_motor_c"), times_time("coolant_l_min")
     assert names(wanders) == ["beam_drift"]
-    assert "time_s" not in wanders.foreign["beam_drift"].columns
+    assert names(selected(lambda c: (c["temp_motor_c"] - 22.0) ** 2, (BeamDrift(),), thermometers)) == ["beam_drift"]
+    assert "coolant_l_min" in wanders.foreign["beam_drift"].columns
     assert names(flows) == []
     assert [hit.structure.columns for hit in flows.hits] == [("coolant_l_min", "time_s")]
