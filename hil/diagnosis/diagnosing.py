@@ -39,11 +39,11 @@ from hil.diagnosis.verdict.held_out import (
 )
 from hil.diagnosis.verdict.offer import offered
 from hil.diagnosis.verdict.rivals import (
+    beaten_by_runs,
     columns_as_good,
     courses_as_good,
     is_unsure,
     separating,
-    set_anew,
     unrecorded,
     weights_of,
     with_rivals,
@@ -76,7 +76,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     chosen, few = without_resembling(chosen)
-    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
+    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.structures)
     required: set[str] = set()
     if left and dropped:
         chosen, left, required = required_all_the_same(chosen, dropped, left)
@@ -92,7 +92,9 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     found = _findings(chosen, campaign.columns, noise)
     below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
     findings = tuple(finding for finding in found if finding.effect not in below_noise)
-    chosen = refitted_without(chosen, below_noise, noise) if below_noise else chosen
+    if below_noise:
+        kept = [choice for choice in chosen.kept if choice.effect.id not in below_noise]
+        chosen = replace(chosen, fit=chosen.last.searcher.fit_of_unknown_noise(kept, noise))
     courses = dict(courses_as_good(chosen))
     doubtful = {f.effect: Estimate(f.rms_um, f.rms_std_um) for f in findings if f.doubtful}
     unexplained = unexplained or bool(doubtful)
@@ -117,7 +119,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         or is_unsure(f, findings, campaign)
         or _is_mostly_in_table(f, chosen, campaign)
     }
-    doubted |= required | set_anew(chosen)
+    doubted |= required | beaten_by_runs(chosen)
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     findings = with_rivals(
         findings, doubted, unrecorded(effects, campaign.survey, records.columns), records.columns, carriers
@@ -316,7 +318,7 @@ def required_all_the_same(
         return chosen, left, back
     kept = {one.effect.id for one in chosen.kept} | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
-    beside = left_over(last.searcher, again, last.noise, chosen.hits)
+    beside = left_over(last.searcher, again, last.noise, chosen.structures)
     if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
         return chosen, left, set()
     return replace(chosen, fit=last.searcher.fit(again, last.noise)), beside, back
@@ -493,7 +495,7 @@ def _carried_without(
 ) -> Iterator[Carrier]:
     """What carries the rest where the effects whose names are not sure are taken away."""
     without = refitted_without(chosen, _unsure(findings), noise)
-    left = left_over(without.last.searcher, without.kept, noise, without.unclaimed)
+    left = left_over(without.last.searcher, without.kept, noise, without.structures)
     yield from _carriers(without, {}, (), left, campaign)
 
 

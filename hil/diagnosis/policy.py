@@ -181,8 +181,8 @@ class Policy:
     as_good: float = _number(3.0, LOG, "below the best within which a noise model is kept", "an earlier trial; 20 to 1")
     most_uneven: float = _number(
         4.0,
-        NOISE,
-        "of a run, a speed or a part of the travel, over the usual: what varies more is no noise",
+        SHARE,
+        "size of a row's residual over the usual, beyond which it does not count as noise of its run, speed or place",
         "set by hand",
     )
     pseudo_rows: float = _number(

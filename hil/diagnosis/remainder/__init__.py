@@ -62,7 +62,9 @@ def left_over(
     columns = waves.variables(campaign)
     if not columns:
         return ()
-    signed = waves.variables(campaign, signed=True)  # a function of the speed may be the noise of a few fast rows
+    signed = waves.variables(
+        campaign, signed=True
+    )  # a smooth function of the speed may be the noise of a few fast rows
     beside = _beside(searcher, choices, noise, without)
     linear = LinearCampaign(campaign)
     null = Null.of(linear, searcher.y, beside, noise)
@@ -180,7 +182,7 @@ def _smooth(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tup
     for v in columns:
         if v.name != "target_mm":
             yield (v.name,), blocks.design_of(v, None, None)
-            if d is not None:
+            if d is not None and v.name != "velocity_mm_s":  # times the direction it is the speed
                 yield (v.name, "direction"), blocks.design_of(v, None, d)
     for first, second in itertools.combinations(columns, 2):
         names = first.name, second.name

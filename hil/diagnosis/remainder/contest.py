@@ -29,7 +29,7 @@ def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[s
     campaign = searcher.linear.campaign
     whole = Null.of(LinearCampaign(campaign), searcher.y, searcher.extra(choices), noise)
     time = campaign.survey.time_column
-    designs = {names: blocks.design_of(a, b, None) for names, a, b in _blocks(variables(campaign), time)}
+    designs = {names: blocks.design_of(a, b, None) for names, a, b in _blocks(variables(campaign, signed=True), time)}
     out = set()
     for name in dict.fromkeys(choice.effect.id for choice in choices):
         mine = [choice for choice in choices if choice.effect.id == name]

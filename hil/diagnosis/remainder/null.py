@@ -95,18 +95,19 @@ class Null:
 def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
     """Relative standard deviation of each row's noise, (n,), from a residual (n,): by run, by speed, by quarter of the travel.
 
-    A product of robust scales (median of the magnitudes), each drawn towards 1 by rows of average noise, and none so large that a
-    cause in that group would be taken for its noise; its root mean square is 1.
+    A product of robust scales (median of the magnitudes), each drawn towards 1 by rows of average noise; its root mean square is 1.
+    Magnitudes are limited first: a group that varies many times more than the others holds a cause.
     """
     size = np.abs(residual)
     usual = float(np.median(size))
+    size = np.minimum(size, policy().most_uneven * usual)
     scale = np.ones(len(residual))
     if usual <= 0.0:
         return scale
     for group in (campaign.run, _speeds(campaign), _quarters(campaign.x)):
         for number in np.unique(group):
             rows = group == number
-            own = min(float(np.median(size[rows] / scale[rows])) / usual, policy().most_uneven)
+            own = float(np.median(size[rows] / scale[rows])) / usual
             count = int(np.sum(rows))
             scale[rows] *= np.sqrt((count * own**2 + policy().pseudo_rows) / (count + policy().pseudo_rows))
     return np.asarray(scale / np.sqrt(np.mean(scale**2)))

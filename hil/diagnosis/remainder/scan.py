@@ -156,8 +156,7 @@ def scaled(name: str, values: Floats) -> Variable:
 def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     """Tests every group under the best noise model, and the best ones again under those nearly as good; the worst counts.
 
-    Waves of one column share half of the chance of a false alarm, products of two the other half: of these there are thirty times as
-    many.
+    Waves of one column share half of the chance of a false alarm, products of two the other half: of these there are many more.
     """
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None

@@ -116,10 +116,8 @@ class Chosen:
         return tuple(hit for selected in self.selections for hit in selected.hits)
 
     @property
-    def unclaimed(self) -> tuple[Hit, ...]:
-        """The same, and the misfits of effects where some of these were taken away since: nobody's then."""
-        if len(self.kept) == len(self.last.choices):
-            return self.hits
+    def structures(self) -> tuple[Hit, ...]:
+        """The same, and the misfits of effects: what is left beside the effects alone, whether these are still in the fit or not."""
         return (*self.hits, *(shape for selected in self.selections for shape in selected.shapes))
 
     @property

@@ -36,7 +36,7 @@ GRID = tuple(
 LEAST_WEIGHT = 0.01
 """Weight over that of the best noise model, from which one counts for the uncertainties."""
 LEAST_FREEDOM = 2.0
-"""Degrees of freedom of a variance at least: with fewer Student's t has none."""
+"""Least degrees of freedom of a variance: uncertainties become no more than 2.2 times as wide."""
 MOST_PROJECTIONS = 40
 CONTENDERS = 8
 RICH_CONTENDERS = 3
@@ -99,11 +99,12 @@ class Searcher:
         )
 
     def fit_of_unknown_noise(self, choices: Sequence[Choice], noise: Noise) -> JointFit:
-        """The fit under a noise model with the uncertainties of a noise that few runs show: over the grid of noise models.
+        """The fit under a noise model, with uncertainties that hold although the noise is not known: few runs show little of it.
 
-        Weighed by evidence without a prior, for that on offsets and memory serves the search. The covariance of each term is the mean
-        of those under the models and the scatter of its coefficients between them; its spread gives degrees of freedom, and by these
-        twice the standard uncertainty covers 95 % of Student's t (JCGM 100, G.3 and G.4).
+        The covariance of each term is a mean over the grid of noise models, and the scatter of its coefficients about those of the
+        fit. Each model counts by its evidence; the prior on offsets and memory, which serves the search, is left out. The spread of
+        the covariances gives their degrees of freedom, and these the factor of Student's t: twice the standard uncertainty covers
+        95 % (JCGM 100, G.3 and G.4).
         """
         best = self.fit(choices, noise)
         if not choices:

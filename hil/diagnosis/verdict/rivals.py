@@ -75,7 +75,7 @@ def columns_as_good(chosen: Chosen, term: Term, noise: Noise) -> tuple[tuple[Ter
     found = []
     for one, share in zip(ranked, shares, strict=True):
         if share > policy().least_confidence:
-            fit = last.searcher.fit([*kept[:place], one.choice, *kept[place + 1 :]], noise)
+            fit = last.searcher.fit_of_unknown_noise([*kept[:place], one.choice, *kept[place + 1 :]], noise)
             found.append((fit.found[place], share))
     return tuple(found) if len(found) > 1 else ()
 
@@ -125,14 +125,16 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
     return wanders or len(finding.terms) > 1 or is_between_runs(finding.term.error_um(campaign.columns), campaign)
 
 
-def set_anew(chosen: Chosen) -> set[str]:
-    """Effects in whose place a slope along the travel of its own for each run fits the rows better.
+def beaten_by_runs(chosen: Chosen) -> set[str]:
+    """Effects that a slope along the travel beats, another one in each run.
 
-    What was set anew from run to run and not recorded, a load or the place of another axis, tilts the error so, and the columns of the
-    effect only happen to go with it.
+    A load or the place of another axis that was set anew for each run, and not recorded, makes such slopes, and the columns of an
+    effect may happen to go with them.
     """
     last, kept = chosen.last, chosen.kept
     campaign = last.searcher.linear.campaign
+    if np.ptp(campaign.x) == 0.0:
+        return set()
     slopes = run_columns(campaign) * (campaign.x - np.mean(campaign.x))[:, None] / np.std(campaign.x)
     out: set[str] = set()
     for name in {choice.effect.id for choice in kept if not choice.effect.static}:
@@ -190,7 +192,7 @@ def with_rivals(
     out = []
     for finding in findings:
         names = (OUTSIDE, *(name for name in unseen if name != finding.effect)) if finding.effect in doubted else ()
-        names = by_one_column.get(finding.effect, names)
+        names = tuple(dict.fromkeys((*by_one_column.get(finding.effect, ()), *names)))
         refuted = any(is_refuted_by(finding, carrier) for carrier in carriers)
         if refuted:
             names = tuple(dict.fromkeys((*names, OUTSIDE)))

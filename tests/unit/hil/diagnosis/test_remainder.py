@@ -170,8 +170,25 @@ def test_what_varies_far_more_than_the_rest_is_not_all_taken_for_noise() -> None
     campaign = prepare(workshop(5)[0])
     one = campaign.run == 1
     size = np.random.default_rng(3).normal(size=len(campaign)) * np.where(one, 15.0, 1.0)
-    scale = row_scale(size, campaign)
-    assert np.median(scale[one]) / np.median(scale[~one]) < 1.2 * policy().most_uneven
+    of_its_own_speed = replace(campaign, columns={**campaign.columns, "velocity_mm_s": np.where(one, 77.0, 20.0)})
+    for rows in (campaign, of_its_own_speed):
+        scale = row_scale(size, rows)
+        assert np.median(scale[one]) / np.median(scale[~one]) < 1.3 * policy().most_uneven
+
+
+def test_a_campaign_at_one_place_has_no_slopes_along_the_travel() -> None:
+    n = 60
+    rng = np.random.default_rng(4)
+    warm = np.linspace(20.0, 24.0, n)
+    columns = {
+        "run": np.repeat(np.arange(1.0, 6.0), n // 5),
+        "direction": np.tile([1.0, -1.0], n // 2),
+        "target_mm": np.full(n, 100.0),
+        "time_s": 60.0 * np.arange(n),
+        "temp_screw_c": warm,
+        "measured_mm": 100.0 + (3.0 * (warm - 20.0) + 0.2 * rng.normal(size=n)) / 1000.0,
+    }
+    assert diagnose(Records.of(columns)).findings
 
 
 @pytest.mark.parametrize("seed", [802541, 802583], ids=["its finding was taken away", "along the travel"])
