@@ -150,8 +150,8 @@ def test_a_noise_that_few_runs_show_makes_uncertainties_wider() -> None:
     assert alone == pytest.approx(1.0, rel=1e-6)
 
 
-def test_twice_the_stated_uncertainty_covers_most_true_values_where_noise_remembers() -> None:
-    """Noise that remembers ten rows, about a drift with a temperature: the fitted noise model alone covers fewer."""
+def test_errors_are_as_large_as_stated_where_noise_remembers() -> None:
+    """Noise that remembers ten rows, about a drift with a temperature: under the fitted noise model alone they are larger."""
     off = []
     for seed in range(40):
         rng = np.random.default_rng(2000 + seed)
