@@ -88,7 +88,7 @@ def left_over(
         own = blocks.outside_table(null, block)
         if not own.shape[1]:
             break
-        name = next((one for one in found if _same(one, equivalent[one], carrier)), block.columns)
+        name = next((one for one in found if is_part_of(one, equivalent[one], carrier)), block.columns)
         found.setdefault(name, []).append(own)
         sure.setdefault(name, min(10.0**-scanned.score, math.exp(-max(block.evidence, 0.0))))
         equivalent.setdefault(name, carrier.equivalent)
@@ -113,7 +113,7 @@ def left_over(
     )
 
 
-def _same(known: tuple[str, ...], equivalent: dict[str, tuple[str, ...]], carrier: Carried) -> bool:
+def is_part_of(known: tuple[str, ...], equivalent: dict[str, tuple[str, ...]], carrier: Carried) -> bool:
     """Whether a carrier's columns are among those of one found before, or move with them: then both are parts of one cause."""
     columns = carrier.block.columns
     return any(

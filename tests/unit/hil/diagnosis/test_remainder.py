@@ -17,7 +17,8 @@ from hil.diagnosis.campaign import AllRows, prepare
 from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
-from hil.diagnosis.remainder import LeftOver, carriers, left_over
+from hil.diagnosis.remainder import LeftOver, carriers, is_part_of, left_over
+from hil.diagnosis.remainder.block import Block
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import scan, variables
@@ -124,6 +125,19 @@ def test_a_second_cause_is_found_beside_the_first_and_a_fragment_is_none() -> No
     assert len({frozenset(one.columns) for one in found}) >= 2
     alone = rest_of(workshop(11, wave_by_load, ratio=8.0, noise_um=NOISE_UM, warm_s=3000.0)[0])
     assert len(alone) == 1, "what the waves of one cause did not follow is not another"
+
+
+def test_what_follows_one_of_two_columns_found_before_is_a_part_of_their_cause() -> None:
+    def carrier(*names: str) -> carriers.Carried:
+        return carriers.Carried(Block(names, np.zeros((1, 1)), 1.0, 1.0), {})
+
+    equivalent = {"temp_screw_c": ("temp_bed_c",)}
+    known = ("load_kg", "temp_screw_c")
+    assert is_part_of(known, equivalent, carrier("load_kg"))
+    assert is_part_of(known, equivalent, carrier("temp_bed_c", "load_kg"))
+    assert not is_part_of(known, equivalent, carrier("target_mm"))
+    assert not is_part_of(known, equivalent, carrier("load_kg", "temp_screw_c", "direction"))
+    assert not is_part_of(("load_kg",), {}, carrier("load_kg", "target_mm"))
 
 
 def test_a_score_holds_under_every_noise_model_that_fits_nearly_as_well() -> None:

@@ -15,7 +15,13 @@ from hil.diagnosis.search.fit import Setting
 from hil.diagnosis.search.judge import hit_of
 from hil.diagnosis.search.searcher import LIGHT, Searcher
 from hil.diagnosis.search.structure import structures
-from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of, sizes, structure_estimates
+from hil.diagnosis.search.structure_estimate import (
+    StructureEstimate,
+    places_of,
+    rms_of,
+    sizes,
+    structure_estimates,
+)
 from hil.effects import Estimate
 
 Array = np.ndarray
@@ -134,3 +140,20 @@ def test_the_size_of_a_known_normal_estimate_is_that_of_many_draws() -> None:
     assert np.mean(squares) == pytest.approx(float(np.var(design @ middle)), rel=0.02), (
         "a free estimate's excess is taken out"
     )
+
+
+def test_structures_are_found_among_the_columns_of_a_fit_in_any_order_and_each_once() -> None:
+    prepared = prepare(campaign(wavy, sensors=sensors, noise_um=NOISE_UM, runs=5, seed=3))
+    projection = Searcher(Setting.free(prepared), enumerate_candidates(prepared, ()), None, LIGHT).projection(SMOOTH)
+    by_columns = {one.columns: one for one in structures(prepared).structures}
+    first, second = (hit_of(projection, by_columns[name,], 40.0, 0.001) for name in ("coolant_l_min", "load_kg"))
+    columns = np.hstack([second.extra.random, first.extra.random, second.extra.random])
+    width = second.extra.random.shape[1]
+    where = places_of(columns, [first, second, second])
+    assert [place[0] for place in where] == [width, 0, columns.shape[1] - width]
+    assert all(
+        np.array_equal(columns[:, place], hit.extra.random)
+        for place, hit in zip(where, (first, second, second), strict=True)
+    )
+    with pytest.raises(LookupError):
+        places_of(columns, [first, first])
