@@ -227,28 +227,21 @@ def joint_fit(
 ) -> JointFit:
     """Estimates table and terms under a noise model, from the (outlier-limited) errors y (n,) of the rows not left out.
 
-    nuisance: further random columns in the fit; uncertain: whether covariances are computed. That of a term is of its
-    coefficients and non-linear parameters together, linearised at the estimate (Gauss-Newton), with the table and all
-    other terms free.
+    nuisance: further random columns in the fit; uncertain: whether covariances are computed, see `joint_terms`
     """
     linear = setting.linear
     campaign = linear.campaign
-    n = len(campaign)
-    extras = [choice.extra(campaign) for choice in choices]
-    free = np.hstack([np.zeros((n, 0)), *(extra.free for extra in extras)])
-    random = np.hstack([np.zeros((n, 0)), *(extra.random for extra in extras)])
-    always = setting.always.plus(Extra.none(n) if nuisance is None else nuisance)
-    projection = linear.projection(noise, y, Extra(always.free, np.hstack([random, always.random])), out)
-    solution = projection.solve(free)
+    solved = joint_terms(setting, noise, y, choices, out=out, nuisance=nuisance, uncertain=uncertain)
+    projection, solution, posterior, terms = solved
+    always = setting.always.plus(Extra.none(len(campaign)) if nuisance is None else nuisance)
     p, w = linear.table.stacked.shape[1], linear.table.table_width
-    posterior = projection.inverse_lower.T @ projection.inverse_lower * solution.variance if uncertain else None
-    terms = _terms(campaign, projection, solution, choices, posterior)
     white = float(np.sqrt(solution.variance))
     about = {"rows": projection.rows, "runs": campaign.runs, "white_noise_um": white}
-    start = p + random.shape[1]
+    start = p + projection.extra.random.shape[1] - always.random.shape[1]
     middle = start + setting.known.extra.random.shape[1]
     declared = setting.known.updated(solution.table[start:middle])
-    unnamed = free[:, :0] if nuisance is None else nuisance.random
+    none = np.zeros((len(campaign), 0))
+    unnamed = none if nuisance is None else nuisance.random
     nuisance_um = np.asarray(unnamed @ solution.table[middle : middle + unnamed.shape[1]])
 
     def table_of(coefficients: Floats) -> PitchTable:
@@ -266,9 +259,36 @@ def joint_fit(
     of_machine[0] += sum(float(np.mean(term.error_um(campaign.columns))) for term in foreign)
     bare = extended = Model(table_of(of_machine) if foreign else whole.table, machine, about)
     if np.any(nuisance_um):
-        share = linear.projection(noise, nuisance_um, None, out).solve(free[:, :0]).table[:w]
+        share = linear.projection(noise, nuisance_um, None, out).solve(none).table[:w]
         extended = replace(bare, table=table_of(of_machine + share))
     return JointFit(whole, extended, bare, tuple(terms), white, nuisance_um)
+
+
+def joint_terms(
+    setting: Setting,
+    noise: Noise,
+    y: Floats,
+    choices: Sequence[Choice],
+    *,
+    out: NDArray[np.bool_] | None = None,
+    nuisance: Extra | None = None,
+    uncertain: bool = True,
+) -> tuple[Projection, Solution, Floats | None, list[Term]]:
+    """The terms alone, as `joint_fit` estimates them, with what they come from: projection, solution, covariance of its table part.
+
+    The covariance of a term is that of its coefficients and non-linear parameters together, linearised at the estimate
+    (Gauss-Newton), with the table and all other terms free.
+    """
+    linear = setting.linear
+    campaign = linear.campaign
+    none = np.zeros((len(campaign), 0))
+    extras = [choice.extra(campaign) for choice in choices]
+    always = setting.always.plus(Extra(none, none) if nuisance is None else nuisance)
+    random = np.hstack([none, *(extra.random for extra in extras), always.random])
+    projection = linear.projection(noise, y, Extra(always.free, random), out)
+    solution = projection.solve(np.hstack([none, *(extra.free for extra in extras)]))
+    posterior = projection.inverse_lower.T @ projection.inverse_lower * solution.variance if uncertain else None
+    return projection, solution, posterior, _terms(campaign, projection, solution, choices, posterior)
 
 
 def _terms(

@@ -19,7 +19,7 @@ from hil.diagnosis.noise.evidence import Extra, Noise, Projection
 from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates
-from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, Setting, joint_fit
+from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, Setting, joint_fit, joint_terms
 from hil.diagnosis.table import DeclaredShape
 from hil.effects import Estimate, Term
 
@@ -114,9 +114,12 @@ class Searcher:
         odds = np.array([self._evidence(choices, extra, trial) - trial.log_prior() for trial in trials])
         weight = np.exp(odds - np.max(odds))
         kept = np.flatnonzero(weight > LEAST_WEIGHT)
-        fits = [self.fit(choices, trials[i]) for i in kept]
+        under = [
+            joint_terms(self.setting, trials[i], self.y, choices, out=self.out, nuisance=self.nuisance)[-1]
+            for i in kept
+        ]
         covariances = [
-            mixed_covariance(term, [fit.found[i] for fit in fits], weight[kept] / np.sum(weight[kept]))
+            mixed_covariance(term, [terms[i] for terms in under], weight[kept] / np.sum(weight[kept]))
             for i, term in enumerate(best.found)
         ]
         return best.with_covariances(covariances)
