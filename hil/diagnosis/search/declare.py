@@ -50,4 +50,4 @@ def fit_with(records: Records, wanted: Sequence[Effect]) -> Model:
             chosen.append(best.choice)
             missing.remove(best.effect)
             noise = searcher.fit_noise(chosen, best.noise)
-        return searcher.fit(chosen, noise).extended
+        return searcher.fit_of_unknown_noise(chosen, noise).extended
