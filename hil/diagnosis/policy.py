@@ -135,17 +135,17 @@ class Policy:
     scan_fires_at: float = _number(
         2.5,
         "-log10 probability",
-        "with the number of groups, of a wave left",
-        "1 in 300 by itself; of 150 tuning machines without a cause none came beyond 1.7",
+        "with the number of waves of one column, or of two, of a wave left",
+        "1 in 300 by itself; of 150 tuning machines without a cause one came beyond 2.2",
     )
     block_fires_at: float = _number(
-        6.0, LOG, "of a smooth function left", "of 150 tuning machines without a cause 2 came beyond 5.9"
+        6.0, LOG, "of a smooth function left", "of 150 tuning machines without a cause one came beyond 5.7"
     )
     process_fires_at: float = _number(
         8.0,
         LOG,
         "of a process in time left, of which four times as many are tried",
-        "of the same 150 one came beyond 6.3, none beyond 7.7",
+        "of the same 150 none came beyond 7.0",
     )
     nearly_all: float = _number(
         0.98,
