@@ -76,7 +76,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     chosen, few = without_resembling(chosen)
-    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.structures)
+    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
     required: set[str] = set()
     if left and dropped:
         chosen, left, required = required_all_the_same(chosen, dropped, left)
@@ -318,10 +318,11 @@ def required_all_the_same(
         return chosen, left, back
     kept = {one.effect.id for one in chosen.kept} | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
-    beside = left_over(last.searcher, again, last.noise, chosen.structures)
+    both = replace(chosen, fit=last.searcher.fit(again, last.noise))
+    beside = left_over(last.searcher, again, last.noise, both.unclaimed)
     if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
         return chosen, left, set()
-    return replace(chosen, fit=last.searcher.fit(again, last.noise)), beside, back
+    return both, beside, back
 
 
 def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
@@ -495,7 +496,7 @@ def _carried_without(
 ) -> Iterator[Carrier]:
     """What carries the rest where the effects whose names are not sure are taken away."""
     without = refitted_without(chosen, _unsure(findings), noise)
-    left = left_over(without.last.searcher, without.kept, noise, without.structures)
+    left = left_over(without.last.searcher, without.kept, noise, without.unclaimed)
     yield from _carriers(without, {}, (), left, campaign)
 
 

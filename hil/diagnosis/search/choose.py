@@ -116,9 +116,12 @@ class Chosen:
         return tuple(hit for selected in self.selections for hit in selected.hits)
 
     @property
-    def structures(self) -> tuple[Hit, ...]:
-        """The same, and the misfits of effects: what is left beside the effects alone, whether these are still in the fit or not."""
-        return (*self.hits, *(shape for selected in self.selections for shape in selected.shapes))
+    def unclaimed(self) -> tuple[Hit, ...]:
+        """The same, and misfits in columns that no effect in the fit reads: theirs was taken away, or does not read the position."""
+        always = {"direction", self.last.searcher.linear.campaign.survey.time_column}
+        claimed = [always.union(choice.form.inputs) for choice in self.kept]
+        shapes = [shape for selected in self.selections for shape in selected.shapes]
+        return (*self.hits, *(one for one in shapes if not any(own >= set(one.structure.columns) for own in claimed)))
 
     @property
     def kept(self) -> tuple[Choice, ...]:
