@@ -2,7 +2,7 @@
 
 Their mean is too small for the scan, and the limit of outliers takes them for noise. Rows that come back every so many rows are
 tested as groups of the scan are, each on its own rows alone. Of rows at random noise of heavy tails has large ones too. More rows
-beyond six standard deviations than Student's t with two degrees of freedom has are no noise, whatever their signs (`gross_rows`).
+beyond six standard deviations than Student's t with three degrees of freedom has are no noise, whatever their signs (`gross_rows`).
 Smaller ones are known by their signs, which noise draws: given the sizes, every choice of signs is as likely. So a wave along the
 position on a few rows is compared with the mean of itself over all choices of signs. That ratio has the mean 1 in noise of any
 symmetric distribution, and so has its average over many waves; it exceeds 1 / p with a chance of p at most (Markov's inequality).
@@ -39,8 +39,10 @@ AGAINST = (0.0, 0.15)
 """Share of the rows that are hit which have the other sign: a table bent by the rows that were hit turns some over."""
 FAR, INSIDE = 6.0, 3.5
 """Robust standard deviations beyond which a row lies far off, and within which the rows are that the table is fitted to."""
-HEAVIEST = 0.0184
-"""Share of Student's t with two degrees of freedom beyond FAR: 1 - z/√(2 + z²) at z = 6 · 1.4826 · √(2/3). It has no variance."""
+HEAVIEST = 0.0065
+"""Share beyond FAR of the heaviest tails that are taken for noise: Student's t with three degrees of freedom, the fewest that have a
+variance. One row in twenty with four times the spread has 0.0059.
+"""
 TRIMMINGS = 4
 MOST_SHARE = 0.35
 """Of the rows, beyond which those outside are not the few."""
