@@ -156,7 +156,8 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     where neither load nor torque is known may be a deflection, and beside a deflection, where one of them is not, the rest of it. A
     tilt goes with load and with temperature: a deflection beside a slow course may be both of it, an arm times an angle that was not
     measured; an arm where the load is not known may be a deflection. The air of the shop warms with the machine: a drift with a
-    temperature may be that of a dead path, and a growth that no material has that of the air's index.
+    temperature may be that of a dead path, and a growth that no material has that of the air's index; where no temperature of the
+    machine is known, what the air does may be the machine's.
     """
     found = {finding.effect: finding.term for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
@@ -170,8 +171,11 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
         out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
     if "abbe" in found and deflection is None and "load_kg" not in recorded:
         out["abbe"] = ("load_deflection",)
+    by_air_or_machine = (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index"))
+    if not any(TEMPERATURE.fullmatch(column) for column in recorded):
+        out |= {by_air: (*out.get(by_air, ()), name) for name, by_air in by_air_or_machine if by_air in found}
     if "air_temp_c" not in recorded:
-        for name, by_air in (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index")):
+        for name, by_air in by_air_or_machine:
             term = found.get(name)
             if term is None or not any(TEMPERATURE.fullmatch(column) for column in term.needs):
                 continue

@@ -587,7 +587,7 @@ def test_a_name_is_as_sure_as_it_is_large_beside_what_is_left_unexplained() -> N
 def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_them() -> None:
     by_load, drift = finding_of("load_deflection", "load_kg"), finding_of("thermal_drift", "temp_bed_c")
     angles = ("pitch_urad", "yaw_urad")
-    whole = (*angles, "load_kg", "torque_percent", "velocity_mm_s", "air_temp_c")
+    whole = (*angles, "load_kg", "torque_percent", "velocity_mm_s", "air_temp_c", "temp_bed_c")
     assert not_told_apart([by_load, drift], whole) == {}
     without_yaw = [name for name in whole if name != "yaw_urad"]
     assert not_told_apart([by_load, drift], without_yaw) == {"load_deflection": ("abbe",), "thermal_drift": ("abbe",)}
@@ -597,6 +597,10 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
     assert not_told_apart([arm], [name for name in whole if name != "load_kg"]) == {"abbe": ("load_deflection",)}
     without_air = [name for name in whole if name != "air_temp_c"]
     assert not_told_apart([drift], without_air) == {"thermal_drift": ("dead_path",)}
+    path, index = finding_of("dead_path", "air_temp_c"), finding_of("air_index", "air_temp_c")
+    bare = [name for name in whole if name != "temp_bed_c"]
+    assert not_told_apart([path, index], bare) == {"dead_path": ("thermal_drift",), "air_index": ("thermal_expansion",)}
+    assert not_told_apart([path, index], whole) == {}
     settling = finding_of("thermal_drift", "time_s")
     assert not_told_apart([settling], without_air) == {}, "air does not settle from the start of a campaign"
     growing = finding_of("thermal_expansion", "temp_bed_c")  # 1 ppm/K, which no material has
