@@ -23,7 +23,7 @@ from hil.diagnosis.remainder import LeftOver, left_over
 from hil.diagnosis.remainder.contest import beaten
 from hil.diagnosis.remainder.null import row_scale
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
-from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of, settle
+from hil.diagnosis.search.choose import Chosen, Problem, choose, may_be_misfit, problem_of, settle
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
 from hil.diagnosis.search.select import Selected, drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
@@ -351,10 +351,9 @@ def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
     """
     if _is_wander(left, chosen, campaign) and not left.equivalent:
         return True
-    shared = {"direction", campaign.survey.time_column}
     projection = _of_equal_rows(chosen)
     return any(
-        set(left.columns) <= shared.union(term.needs)
+        may_be_misfit(left.columns, term.form, campaign.survey)
         and left.rms.value < policy().shape * _beside_table_um(projection, term, campaign)
         for term in chosen.fit.found
     )

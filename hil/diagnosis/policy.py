@@ -135,7 +135,7 @@ class Policy:
     scan_fires_at: float = _number(
         2.5,
         "-log10 probability",
-        "with the number of waves of one column, or of two, of a wave left",
+        "of a wave left, with the number of waves tried of one column or of two",
         "1 in 300 by itself; of 150 tuning machines without a cause one came beyond 2.2",
     )
     block_fires_at: float = _number(

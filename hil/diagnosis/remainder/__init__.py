@@ -62,9 +62,6 @@ def left_over(
     columns = waves.variables(campaign)
     if not columns:
         return ()
-    signed = waves.variables(
-        campaign, signed=True
-    )  # a smooth function of the speed may be the noise of a few fast rows
     beside = _beside(searcher, choices, noise, without)
     linear = LinearCampaign(campaign)
     null = Null.of(linear, searcher.y, beside, noise)
@@ -75,7 +72,9 @@ def left_over(
     equivalent: dict[tuple[str, ...], dict[str, tuple[str, ...]]] = {}
     for _ in range(MOST_ROUNDS):
         scanned = waves.scan(null, columns)
-        best = _clearest_block(null, signed, x, d) if scanned.score < policy().scan_fires_at else None
+        best: Block | None = None
+        if scanned.score < policy().scan_fires_at:  # a smooth function of the speed may be the noise of a few fast rows
+            best = _clearest_block(null, waves.variables(campaign, signed=True), x, d)
         carrier: Carried | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
             carrier = carried(null, columns, scanned, best, d)

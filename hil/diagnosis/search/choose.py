@@ -6,7 +6,7 @@ It is made on all rows, and again with runs left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from hil.diagnosis.search.searcher import FULL, LIGHT, Searcher
 from hil.diagnosis.search.select import Selected, select
 from hil.diagnosis.search.structure import Catalogue, static_structures, structures
 from hil.diagnosis.table import DeclaredShape
-from hil.effects import Effect
+from hil.effects import Effect, Form, Survey
 from hil.effects.model import Model
 
 Floats = NDArray[np.float64]
@@ -117,17 +117,25 @@ class Chosen:
 
     @property
     def unclaimed(self) -> tuple[Hit, ...]:
-        """The same, and misfits in columns that no effect in the fit reads: theirs was taken away, or does not read the position."""
-        always = {"direction", self.last.searcher.linear.campaign.survey.time_column}
-        claimed = [always.union(choice.form.inputs) for choice in self.kept]
+        """The same, and the misfits that no effect in the fit may have: its columns are others, or it was taken away."""
+        survey = self.last.searcher.linear.campaign.survey
         shapes = [shape for selected in self.selections for shape in selected.shapes]
-        return (*self.hits, *(one for one in shapes if not any(own >= set(one.structure.columns) for own in claimed)))
+        mine = [choice.form for choice in self.kept]
+        nobodys = [
+            one for one in shapes if not any(may_be_misfit(one.structure.columns, form, survey) for form in mine)
+        ]
+        return (*self.hits, *nobodys)
 
     @property
     def kept(self) -> tuple[Choice, ...]:
         """The choices of the last selection whose effects are in the fit."""
         names = {term.effect.id for term in self.fit.found}
         return tuple(choice for choice in self.last.choices if choice.effect.id in names)
+
+
+def may_be_misfit(columns: Collection[str], form: Form, survey: Survey) -> bool:
+    """Whether what is left in some columns may be a misfit of an effect of this form: it reads them, beside direction and time."""
+    return set(columns) <= {"direction", survey.time_column, *form.inputs}
 
 
 def choose(problem: Problem) -> Chosen:

@@ -180,8 +180,9 @@ class JointFit:
             for term, one in zip(self.found, covariances, strict=True)
         )
 
+        new = {id(term): other for term, other in zip(self.found, terms, strict=True)}
+
         def of(model: Model) -> Model:
-            new = {id(term): other for term, other in zip(self.found, terms, strict=True)}
             return replace(model, terms=tuple(new.get(id(term), term) for term in model.terms))
 
         return replace(self, whole=of(self.whole), extended=of(self.extended), bare=of(self.bare), found=terms)
@@ -233,21 +234,20 @@ def joint_fit(
     campaign = linear.campaign
     solved = joint_terms(setting, noise, y, choices, out=out, nuisance=nuisance, uncertain=uncertain)
     projection, solution, posterior, terms = solved
-    always = setting.always.plus(Extra.none(len(campaign)) if nuisance is None else nuisance)
+    none = np.zeros((len(campaign), 0))
+    unnamed = none if nuisance is None else nuisance.random
     p, w = linear.table.stacked.shape[1], linear.table.table_width
     white = float(np.sqrt(solution.variance))
     about = {"rows": projection.rows, "runs": campaign.runs, "white_noise_um": white}
-    start = p + projection.extra.random.shape[1] - always.random.shape[1]
-    middle = start + setting.known.extra.random.shape[1]
+    middle = p + projection.extra.random.shape[1] - unnamed.shape[1]  # the random columns end with the unnamed ones
+    start = middle - setting.known.extra.random.shape[1]
     declared = setting.known.updated(solution.table[start:middle])
-    none = np.zeros((len(campaign), 0))
-    unnamed = none if nuisance is None else nuisance.random
     nuisance_um = np.asarray(unnamed @ solution.table[middle : middle + unnamed.shape[1]])
 
     def table_of(coefficients: Floats) -> PitchTable:
         table = linear.shape.tabulate(coefficients, None if posterior is None else posterior[:w, :w])
         if setting.static is not None:
-            q = always.free.shape[1]
+            q = projection.extra.free.shape[1]
             table = setting.static.added_to(table, solution.table[len(solution.table) - q :])
         return table
 
