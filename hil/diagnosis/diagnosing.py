@@ -117,6 +117,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         if unpredicted
         or f.effect in courses
         or is_unsure(f, findings, campaign)
+        or any(term.effect.implausible(term) for term in f.terms)
         or _is_mostly_in_table(f, chosen, campaign)
     }
     doubted |= required | beaten_by_runs(chosen)

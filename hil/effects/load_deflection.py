@@ -30,6 +30,7 @@ UNITS = {"load_kg": "kg", "torque_percent": "%"}
 FROM_A_POINT = "from a stiff point"
 SIMPLE = ("offset", "with direction", "with position", "with direction and position", FROM_A_POINT)
 ALONG, CURVED, CURVED_REVERSAL = "offset and with direction and position", "curved", "curved with direction"
+BOTH_WAYS_ALIKE = frozenset({"offset", "with position", FROM_A_POINT, CURVED})
 
 
 class LoadDeflection(Effect):
@@ -44,6 +45,10 @@ class LoadDeflection(Effect):
         Rival("backlash_position", "two loads, in mixed order"),
         Rival("velocity_lag", "two loads at one feed"),
         Rival("thermal_drift", "two loads, in mixed order, so that load and time part"),
+        Rival(
+            "abbe",
+            "log pitch and yaw of the carriage, or repeat at a second offset of the measuring line, at two loads",
+        ),
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
@@ -102,6 +107,11 @@ class LoadDeflection(Effect):
             )
         how = "" if term.form.name == "offset" else f", {term.form.name}"
         return f"The axis gives way with {source}{how}: {term.coefficient(0)} µm per {unit}."
+
+
+def is_tilt(term: Term) -> bool:
+    """Whether a load that tilts the carriage makes the same at an arm: it is alike in both directions, and no torque."""
+    return term.form.inputs[0] == "load_kg" and term.form.name in BOTH_WAYS_ALIKE
 
 
 def stiff_point_mm(term: Term) -> Estimate | None:

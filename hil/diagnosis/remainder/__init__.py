@@ -162,7 +162,9 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
 
 
 def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None) -> Block | None:
-    """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model."""
+    """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model, and
+    beyond what the sizes of the rows alone make.
+    """
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
     kinds = ((_smooth(columns, d), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))
     best: list[tuple[float, Block]] = []
@@ -171,7 +173,7 @@ def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None,
         if clearest is None or clearest.evidence <= limit:
             continue
         sure = blocks.block(null, clearest.columns, clearest.design, surely=True)
-        if sure.evidence > limit:
+        if sure.evidence > limit and sure.evidence - blocks.by_signs(null, clearest) > limit:
             best.append((clearest.evidence - limit, clearest))
     return max(best, key=lambda one: one[0])[1] if best else None
 

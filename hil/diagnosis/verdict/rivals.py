@@ -18,6 +18,7 @@ from hil.diagnosis.search.fit import grid_choices
 from hil.diagnosis.search.rank import by_column, score_choices
 from hil.diagnosis.verdict.held_out import ONCE
 from hil.effects import Effect, Survey, Term
+from hil.effects.load_deflection import is_tilt
 from hil.effects.thermometers import TEMPERATURE
 from hil.effects.warming import is_about_a_point, is_since_start
 
@@ -154,10 +155,10 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
 
     The motor's torque goes with speed, load and direction: a deflection by torque where the speed is not known may be a lag; a lag
     where neither load nor torque is known may be a deflection, and beside a deflection, where one of them is not, the rest of it. A
-    tilt goes with load and with temperature: a deflection beside a slow course may be both of it, an arm times an angle that was not
-    measured; an arm where the load is not known may be a deflection. The air of the shop warms with the machine: a drift with a
-    temperature may be that of a dead path, and a growth that no material has that of the air's index; where no temperature of the
-    machine is known, what the air does may be the machine's.
+    load and a temperature tilt the carriage: a deflection alike in both directions, or one beside a slow course, may be an arm times
+    an angle that was not measured; an arm where the load is not known may be a deflection. The air of the shop warms with the machine:
+    a drift with a temperature may be that of a dead path, and a growth that no material has that of the air's index; where no
+    temperature of the machine is known, what the air does may be the machine's.
     """
     found = {finding.effect: finding.term for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
@@ -167,7 +168,7 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     elif "velocity_lag" in found and len(FORCES - set(recorded)) > (deflection is None):
         out["velocity_lag"] = ("load_deflection",)
     slow = SLOW & set(found)
-    if deflection is not None and slow and not set(ANGLES) <= set(recorded):
+    if deflection is not None and (slow or is_tilt(deflection)) and not set(ANGLES) <= set(recorded):
         out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
     if "abbe" in found and deflection is None and "load_kg" not in recorded:
         out["abbe"] = ("load_deflection",)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -15,13 +16,14 @@ from threadpoolctl import threadpool_limits
 from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import AllRows, prepare
 from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
+from hil.diagnosis.noise.evidence import Extra
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
 from hil.diagnosis.remainder import LeftOver, carriers, is_part_of, left_over
-from hil.diagnosis.remainder.block import Block
+from hil.diagnosis.remainder.block import Block, block, by_signs, design_of
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
-from hil.diagnosis.remainder.scan import scan, variables
+from hil.diagnosis.remainder.scan import best_by_chance, scan, variables
 from hil.diagnosis.result import Carrier, Finding, NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
@@ -166,6 +168,54 @@ def test_one_column_has_half_of_the_chance_of_a_false_alarm_and_products_of_two_
         assert best
         for group, score in best:
             assert score == pytest.approx(raw[group] - np.log10(2 * len(raw)), abs=1e-6)
+
+
+@pytest.mark.parametrize(("seed", "uneven"), [(109_000, True), (109_009, True), (109_108, False)])
+def test_a_few_rows_that_vary_more_than_the_others_are_no_structure(
+    seed: int, uneven: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Machines without a cause: noise that grows with the speed, of heavy tails with few fast rows, and with many."""
+    campaign = prepare(Records.of(draw("clean", seed).fit.records))
+    setting = Setting.free(campaign)
+    null = Null.of(setting.linear, setting.error_um, Extra.none(len(campaign)), start_noise(campaign))
+    by_signs = scan(null, variables(campaign)).score
+    monkeypatch.setitem(scan.__globals__, "UNSURE", (math.inf, math.inf))
+    by_number = scan(null, variables(campaign)).score
+    assert 1.9 < by_number < 2.5
+    assert (by_signs < by_number - 1.0) is uneven
+    assert (by_signs > by_number - 0.2) is not uneven
+
+
+def test_a_block_made_of_a_few_uneven_rows_is_not_taken_and_one_of_a_cause_is() -> None:
+    """A machine without a cause, whose noise grows with the speed: a function of speed and position was found on its fast rows."""
+    rows = draw("clean", 109_000).fit.records
+    assert not diagnose(Records.of(rows)).unexplained
+    campaign = prepare(Records.of(rows))
+    named = {v.name: v for v in variables(campaign)}
+    linear, noise = Setting.free(campaign).linear, start_noise(campaign)
+
+    def on(first: str, second: str, error_um: Floats) -> float:
+        null = Null.of(linear, error_um, Extra.none(len(campaign)), noise)
+        return by_signs(null, block(null, (first, second), design_of(named[first], named[second], None)))
+
+    assert on("velocity_mm_s", "target_mm", campaign.error_um) > 3.0
+    warm = np.maximum(named["temp_screw_c"].u - 0.5, 0.0) * np.maximum(named["target_mm"].u - 0.5, 0.0)
+    even = np.random.default_rng(2).normal(0.0, NOISE_UM, len(campaign))
+    for size in (0.0, 3.0, 30.0):
+        assert on("temp_screw_c", "target_mm", even + size * warm) == 0.0
+
+
+def test_the_best_of_many_in_noise_is_as_likely_as_its_number_says() -> None:
+    campaign = prepare(workshop(11)[0])
+    linear = Setting.free(campaign).linear
+    y = np.random.default_rng(1).normal(0.0, NOISE_UM, len(campaign))
+    null = Null.of(linear, y, Extra.none(len(y)), start_noise(campaign))
+    found = scan(null, variables(campaign))
+    for width, chance in best_by_chance(null.best, variables(campaign), campaign.d).items():
+        number = sum(len(groups) for groups, _ in found.batches if groups[0].width == width)
+        assert -0.8 < chance.location - np.log10(number) < 0.3, "groups that overlap count for fewer"
+        assert chance.score(chance.location + 1.0) == pytest.approx(1.0, abs=0.2)
+        assert chance.score(chance.location - 2.0) == pytest.approx(0.0, abs=1e-3)
 
 
 def test_a_speed_is_what_noise_and_causes_follow_where_the_direction_tells_the_sign() -> None:
@@ -524,6 +574,12 @@ def test_an_effect_that_runs_left_out_do_not_prove_is_named_with_doubt_where_its
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     records, _ = workshop(11, lambda c: c["load_kg"] * (c["target_mm"] / TRAVEL_MM - 0.5), ratio=3.0, noise_um=NOISE_UM)
+    (unsure,) = diagnose(records).findings
+    assert [rival.effect for rival in unsure.rivals][:1] == ["abbe"], (
+        "the load may tilt a carriage whose angles nobody recorded"
+    )
+    for angle in ("pitch_urad", "yaw_urad"):
+        records = records.with_column(angle, np.zeros(len(records)))
     (sure,) = diagnose(records).findings
     assert (sure.effect, sure.confidence > 0.9) == ("load_deflection", True)
     monkeypatch.setitem(diagnose.__globals__, "improves_held_out", lambda gain: False)
@@ -545,11 +601,12 @@ def finding_of(effect: str, column: str) -> Finding:
 def test_what_the_torque_cannot_tell_apart_where_speed_or_load_is_not_recorded_stays_a_rival() -> None:
     by_torque, by_load = finding_of("load_deflection", "torque_percent"), finding_of("load_deflection", "load_kg")
     lag = finding_of("velocity_lag", "velocity_mm_s")
-    whole = ("torque_percent", "load_kg", "velocity_mm_s")
+    whole = ("torque_percent", "load_kg", "velocity_mm_s", "pitch_urad", "yaw_urad")
     assert not_told_apart([by_torque], ("torque_percent", "load_kg")) == {"load_deflection": ("velocity_lag",)}
     assert not_told_apart([by_torque], whole) == {}
     assert not_told_apart([by_load, lag], whole) == {}
-    assert not_told_apart([by_load, lag], ("load_kg", "velocity_mm_s")) == {"velocity_lag": ("load_deflection",)}
+    without_torque = [name for name in whole if name != "torque_percent"]
+    assert not_told_apart([by_load, lag], without_torque) == {"velocity_lag": ("load_deflection",)}
     assert not_told_apart([by_torque, lag], ("torque_percent", "velocity_mm_s")) == {
         "velocity_lag": ("load_deflection",)
     }
@@ -591,7 +648,11 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
     assert not_told_apart([by_load, drift], whole) == {}
     without_yaw = [name for name in whole if name != "yaw_urad"]
     assert not_told_apart([by_load, drift], without_yaw) == {"load_deflection": ("abbe",), "thermal_drift": ("abbe",)}
-    assert not_told_apart([by_load], without_yaw) == {}, "a deflection alone is one cause as it is"
+    assert not_told_apart([by_load], without_yaw) == {"load_deflection": ("abbe",)}, "a load tilts a carriage"
+    reversing = replace(by_load.term, form=Form("load_deflection", "with direction", ("load_kg",)))
+    by_torque = finding_of("load_deflection", "torque_percent")
+    for stiff in (by_torque, replace(by_load, term=reversing)):
+        assert not_told_apart([stiff], without_yaw) == {}, "no tilt turns with the direction of motion"
     arm = finding_of("abbe", "pitch_urad")
     assert not_told_apart([arm], whole) == {}
     assert not_told_apart([arm], [name for name in whole if name != "load_kg"]) == {"abbe": ("load_deflection",)}
