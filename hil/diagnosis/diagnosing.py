@@ -117,7 +117,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         if unpredicted
         or f.effect in courses
         or is_unsure(f, findings, campaign)
-        or any(term.effect.implausible(term) for term in f.terms)
+        or f.is_implausible
         or _is_mostly_in_table(f, chosen, campaign)
     }
     doubted |= required | beaten_by_runs(chosen)
@@ -389,6 +389,13 @@ def _energy_beside(projection: Projection, course_um: Floats) -> float:
     return max(float(normal[0, 0]), 1e-300)
 
 
+def _beside_table(chosen: Chosen, course_um: Floats) -> Floats:
+    """What is left of a course of the rows (n,), µm, beside the table that is fitted from them."""
+    table = chosen.selections[0].searcher.linear.table
+    columns = table.stacked[:, : table.table_width]
+    return np.asarray(course_um - columns @ np.linalg.lstsq(columns, course_um, rcond=None)[0])
+
+
 def _misfit_note(left: LeftOver) -> str:
     return f"{left.rms} µm RMS along {' × '.join(left.columns)} are left of an effect that was found: its form is not quite this"
 
@@ -419,6 +426,8 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tu
         mine = [one for one in chosen.fit.found if one.effect.id == effect.id and one is not term]
         more = tuple(sorted(mine, key=lambda one: -float(np.std(one.error_um(columns)))))
         of_rows = np.sum([one.error_um(columns) for one in (term, *more)], axis=0)
+        if more and not effect.several and effect.id in free:  # the rows determine their sum, and only beside the table
+            of_rows = _beside_table(chosen, of_rows)
         rms, peak = float(np.std(of_rows)), float(np.max(np.abs(of_rows - np.mean(of_rows))))
         std = rms * _unsure_of_size(chosen, effect.id, of_rows) if more else rms_of_term(term, columns).std
         follows = () if more else columns_as_good(chosen, term, noise)

@@ -50,7 +50,8 @@ class Finding:
     """An effect the declared model lacks.
 
     confidence: share of the weight among all causes, 0 … 1
-    rms_um, rms_std_um, peak_um: what the effect contributes to these rows about its mean: RMS, its standard uncertainty, largest
+    rms_um, rms_std_um, peak_um: what the effect contributes to these rows about its mean: RMS, its standard uncertainty, largest; of
+        several terms that are one course beside a table of these rows, what that table holds left out
     more: further terms of the same effect
     follows: the same effect by other columns that fit nearly as well, each with its share, and the share of the column of `term`
     beside_any_table: it was found beside a table fitted from the rows; else only because the declared table lacks it
@@ -86,8 +87,8 @@ class Finding:
         size = Estimate(self.rms_um, self.rms_std_um)
         return (
             f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)} that no single form of the catalogue"
-            f" has, {size} µm RMS over these rows and {self.peak_um:.3g} µm at most; of its {len(self.terms)} parts only the"
-            " sum is determined."
+            f" has, {size} µm RMS over these rows beside the table and {self.peak_um:.3g} µm at most; of its {len(self.terms)}"
+            " parts only the sum is determined."
         )
 
     @property
@@ -99,6 +100,11 @@ class Finding:
     def doubtful(self) -> bool:
         """Whether a cause outside the catalogue explains it better."""
         return any(rival.effect == OUTSIDE and rival.confidence > self.confidence for rival in self.rivals)
+
+    @property
+    def is_implausible(self) -> bool:
+        """Whether no machine behaves like this; nothing is known of the parts where only their sum is determined."""
+        return not self.summed and any(term.effect.implausible(term) for term in self.terms)
 
     @property
     def action(self) -> Action:

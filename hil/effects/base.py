@@ -225,8 +225,8 @@ class Effect(ABC):
         return False
 
     def implausible(self, term: Term) -> str | None:
-        """Why no machine behaves like this (sign, range), or None. The effect's weight is lowered; it is not
-        excluded.
+        """Why no machine behaves like this (sign, range), or None. The effect's weight is lowered and its name stays in doubt; it is
+        not excluded.
         """
         del term
         return None

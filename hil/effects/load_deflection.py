@@ -47,7 +47,7 @@ class LoadDeflection(Effect):
         Rival("thermal_drift", "two loads, in mixed order, so that load and time part"),
         Rival(
             "abbe",
-            "log pitch and yaw of the carriage, or repeat at a second offset of the measuring line, at two loads",
+            "log pitch and yaw of the carriage, at two loads",
         ),
     )
 

@@ -73,14 +73,15 @@ def left_over(
     for _ in range(MOST_ROUNDS):
         scanned = waves.scan(null, columns)
         best: Block | None = None
+        chance = 10.0**-scanned.score
         if scanned.score < policy().scan_fires_at:  # a smooth function of the speed may be the noise of a few fast rows
-            best = _clearest_block(null, waves.variables(campaign, signed=True), x, d)
+            best, chance = _clearest_block(null, waves.variables(campaign, signed=True), x, d)
         carrier: Carried | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
             carrier = carried(null, columns, scanned, best, d)
         elif x is not None and not found:
             other = in_one_run(null, searcher.raw, x, d) or every_so_many(null, x, d)
-            carrier = None if other is None else Carried(other, {})
+            carrier, chance = (None, 1.0) if other is None else (Carried(other, {}), math.exp(-other.evidence))
         if carrier is None:
             break
         block = carrier.block
@@ -89,7 +90,7 @@ def left_over(
             break
         name = next((one for one in found if is_part_of(one, equivalent[one], carrier)), block.columns)
         found.setdefault(name, []).append(own)
-        sure.setdefault(name, min(10.0**-scanned.score, math.exp(-max(block.evidence, 0.0))))
+        sure.setdefault(name, chance)
         equivalent.setdefault(name, carrier.equivalent)
         null = null.plus(own)
     if not found:
@@ -161,21 +162,24 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
     return extra
 
 
-def _clearest_block(null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None) -> Block | None:
-    """The block of highest evidence, of one column, of two or of a process, if that is beyond noise under every noise model, and
-    beyond what the sizes of the rows alone make.
+def _clearest_block(
+    null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None
+) -> tuple[Block | None, float]:
+    """The block of highest evidence, of one column, of two or of a process, that is beyond noise under every noise model and beyond
+    what the sizes of the rows alone make, with the probability of as much in noise; None and 1 where there is none.
     """
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
     kinds = ((_smooth(columns, d), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))
-    best: list[tuple[float, Block]] = []
+    best: list[tuple[float, Block, float]] = []
     for designs, limit in kinds:
-        clearest = max((blocks.block(null, *one) for one in designs), key=lambda trial: trial.evidence, default=None)
-        if clearest is None or clearest.evidence <= limit:
-            continue
-        sure = blocks.block(null, clearest.columns, clearest.design, surely=True)
-        if sure.evidence > limit and sure.evidence - blocks.by_signs(null, clearest) > limit:
-            best.append((clearest.evidence - limit, clearest))
-    return max(best, key=lambda one: one[0])[1] if best else None
+        trials = (blocks.block(null, *one) for one in designs)
+        clear = sorted((one for one in trials if one.evidence > limit), key=lambda one: -one.evidence)
+        sure = ((one.evidence - limit, one, blocks.sure_evidence(null, one)) for one in clear)
+        best += itertools.islice((one for one in sure if one[2] > limit), 1)
+    if not best:
+        return None, 1.0
+    _, clearest, evidence = max(best, key=lambda one: one[0])
+    return clearest, math.exp(-evidence)
 
 
 def _smooth(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:

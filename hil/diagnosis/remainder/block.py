@@ -34,10 +34,6 @@ PROCESS_PERIODS = 12
 """Periods over the campaign up to which a process in time is resolved."""
 HALF_POWER = 3.0
 """Periods at which the power of such a process has fallen to half: a state that switches every tenth of the campaign has 3.2."""
-DRAWN = 1.0
-"""What the draws of even noise may bring the log of their mean to: of 15 weak causes of tuning machines one came to 0.9; uneven noise
-brought 6.7.
-"""
 FALLING = 3.0
 """Log evidence below the best at which larger variances are not tried."""
 
@@ -142,20 +138,22 @@ def _gain(wide: Floats, ratio: float, rss: float, dof: int) -> float:
     return -0.5 * dof * math.log(left) - float(np.log(root[:r]).sum())
 
 
-def block(null: Null, columns: tuple[str, ...], design: Floats, *, surely: bool = False) -> Block:
-    """The evidence of a design (n, r), under the best noise model; with `surely` the least under every one nearly as good."""
-    gain, ratio = evidence_of(null.best, design)
-    if surely:
-        gain = min([gain, *(evidence_of(projection, design)[0] for projection in null.nearly_as_good)])
-    return Block(columns, design, gain, ratio)
+def block(null: Null, columns: tuple[str, ...], design: Floats) -> Block:
+    """The evidence of a design (n, r), under the best noise model."""
+    return Block(columns, design, *evidence_of(null.best, design))
+
+
+def sure_evidence(null: Null, found: Block) -> float:
+    """The least evidence of a block under every noise model nearly as good, less what the sizes of the rows alone make of it."""
+    others = (evidence_of(projection, found.design)[0] for projection in null.nearly_as_good)
+    return min([found.evidence, *others]) - by_signs(null, found)
 
 
 def by_signs(null: Null, found: Block) -> float:
-    """How much of a block's evidence the sizes of the rows alone make: 0 in even noise, more where it is made of a few rows that vary
-    more than the others.
+    """How much of a block's evidence the sizes of the rows alone make: the log of its mean Bayes factor over draws of their signs.
 
-    It is the log of the mean Bayes factor over draws of the signs of the rows, which is one in even noise. In noise of any symmetric
-    distribution the Bayes factor over this mean exceeds 1 / p with a chance of p at most (Markov).
+    In even noise that mean is about one, and less counts as one; it is large where the block is made of a few rows that vary more than
+    the others.
     """
     rest, rss = with_signs_anew(null.best)
     w = null.best.prepared(found.scaled)
@@ -164,7 +162,7 @@ def by_signs(null: Null, found: Block) -> float:
     explained = np.sum(np.linalg.solve(factor, w.T @ rest) ** 2, axis=0)
     left = np.maximum(1.0 - explained / rss, 1e-12)
     odds = -0.5 * null.best.dof * np.log(left) - float(np.sum(np.log(np.diag(factor))))
-    return max(float(logsumexp(odds)) - math.log(len(odds)) - DRAWN, 0.0)
+    return max(float(logsumexp(odds)) - math.log(len(odds)), 0.0)
 
 
 def outside_table(null: Null, found: Block) -> Floats:

@@ -3,8 +3,8 @@
 Each column is scaled to its own range; cosines and sines of half a period to 3.5 periods along it resolve steps, hinges and waves
 alike, and finer ones along position and time resolve beats. A group of such products is tested beside everything in the null: its
 share of the residual sum of squares is Beta distributed, whatever the columns. Of some ten thousand groups the best one is asked for.
-Where it matters, the residual itself says what the best one reaches by chance: with the signs of its rows drawn anew it keeps the
-sizes, so that a few rows that vary more than the others, as fast ones do, are no structure (Rademacher weights of the wild bootstrap).
+How likely that is by chance the residual itself says, with the signs of its rows drawn anew: the rows keep their sizes, so that a few
+rows that vary more than the others, as fast ones do, are no structure (Rademacher weights of the wild bootstrap).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from scipy.special import betainc
 
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.noise.evidence import Projection
+from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder.null import Null
 from hil.diagnosis.search.structure import usable_columns
 
@@ -47,14 +48,12 @@ BATCH = 1024
 """Groups tested together."""
 WIDTHS = (2, 4)
 """Columns of a group of one column and of a product of two."""
-UNSURE = (1.5, 6.0)
-"""Scores by the number of groups between which signs are drawn. Of 30 tuning machines without a cause the best group was up to ten
-times as likely as its number says where few rows are fast, and up to four times less likely elsewhere.
-"""
 FLIPS = 200
-"""Draws of the signs: the scale of what the best group reaches is then known to 6 %."""
-SCALE = 1.0 / math.log(10.0)
-"""Least such scale: that of -log10 of the smallest of many probabilities, which is Gumbel distributed."""
+"""Draws of the signs: the scale of what the best group reaches is then known to 7 % (its standard deviation, of 200 Gumbel values)."""
+LEAST_SCALE = 1.0 / math.log(10.0)
+"""Scale of -log10 of the smallest of many probabilities in even noise, which is Gumbel distributed; where rows differ it is larger."""
+NEARLY = 1.0
+"""Score below that from which the scan fires, down to which the signs are asked."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +97,11 @@ class Group:
     with_direction: bool = False
 
     @property
+    def variables(self) -> tuple[Variable, ...]:
+        """The columns that its waves run along."""
+        return (self.first,) if self.second is None else (self.first, self.second)
+
+    @property
     def columns(self) -> tuple[str, ...]:
         """Names of the columns."""
         names = [self.first.name, *([self.second.name] if self.second else [])]
@@ -119,7 +123,7 @@ class Group:
 
 @dataclass(frozen=True)
 class Scan:
-    """The best groups with -log10 of their probability in noise and with the number of groups tested, best first.
+    """The best groups with -log10 of the probability that chance reaches as much with any group, best first.
 
     batches: all groups as they were tested together, with -log10 of the probability of each by itself, shape (G,)
     """
@@ -166,7 +170,8 @@ def scaled(name: str, values: Floats) -> Variable:
 def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     """Tests every group under the best noise model, and the best ones again under those nearly as good; the worst counts.
 
-    Waves of one column share half of the chance of a false alarm, products of two the other half: of these there are many more.
+    Waves of one column share half of the chance of a false alarm, products of two the other half: of these there are many more. Where
+    the best group nearly fires, or does, its probability among those of its columns is by the signs, under the best noise model.
     """
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None
@@ -189,18 +194,27 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         stacked = np.stack([design.T for design in designs]).astype(np.float32)
         for projection in null.nearly_as_good:
             scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked) - known[width])
-    if len(scores) and UNSURE[0] < np.max(scores) < UNSURE[1]:
-        by_chance = best_by_chance(null.best, columns, d)
+    asked: set[tuple[Variable, ...]] = set()
+    while len(scores) and np.max(scores) > policy().scan_fires_at - NEARLY:
+        own = found[int(np.argmax(scores))][1].variables
+        if own in asked:
+            break
+        asked.add(own)
+        by_chance = best_by_chance(null.best, own, d)
         for i, (_, group) in enumerate(found):
-            scores[i] = by_chance[group.width].score(scores[i] + known[group.width]) - math.log10(len(WIDTHS))
+            if group.variables == own:
+                chance = by_chance[group.width]
+                reached = scores[i] + known[group.width]
+                scores[i] = chance.score(reached) - known[group.width] + math.log10(chance.groups)
     best = [(group, float(score)) for (_, group), score in zip(found, scores, strict=True)]
     return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tuple(batches))
 
 
 @dataclass(frozen=True)
 class Chance:
-    """What the best of many groups reaches by chance, -log10 of a probability: Gumbel distributed with this location and scale."""
+    """What the best of some groups reaches by chance, -log10 of a probability: Gumbel distributed with this location and scale."""
 
+    groups: int
     location: float
     scale: float
 
@@ -210,27 +224,32 @@ class Chance:
 
 
 def best_by_chance(projection: Projection, columns: Sequence[Variable], d: Floats | None) -> dict[int, Chance]:
-    """The best group of each width in the residual with the signs of its rows drawn anew."""
+    """By width, the best group of some columns in the residual with the signs of its rows drawn anew."""
     rest, rss = with_signs_anew(projection)
     most = {width: np.zeros(FLIPS) for width in WIDTHS}
+    count = dict.fromkeys(WIDTHS, 0)
     for groups, design in _batches(columns, d):
         width = groups[0].width
+        count[width] += len(groups)
         most[width] = np.maximum(most[width], np.max(_explained(projection, design, rest), axis=0) / rss)
     out = {}
     for width, share in most.items():
         reached = -log10_tail(share, width, projection.dof)
-        scale = max(math.sqrt(6.0) / math.pi * float(np.std(reached)), SCALE)
-        out[width] = Chance(float(np.mean(reached)) - float(np.euler_gamma) * scale, scale)
+        scale = max(math.sqrt(6.0) / math.pi * float(np.std(reached)), LEAST_SCALE)
+        out[width] = Chance(max(count[width], 1), float(np.mean(reached)) - float(np.euler_gamma) * scale, scale)
     return out
 
 
 def with_signs_anew(projection: Projection) -> tuple[Floats, Floats]:
-    """The whitened residual with its signs drawn anew and the null projected out, (n, FLIPS), and its squares, (FLIPS,)."""
+    """Residuals z with the signs of the whitened rest drawn anew: Pz, (n, FLIPS), and z'Pz, (FLIPS,), P what projects the null out.
+
+    The draws have no random effects of the null. Where these take a fifth of the degrees of freedom they say too much of chance.
+    """
     signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(len(projection.rest), FLIPS))
     drawn = signs * projection.rest[:, None]
     null = _null_of(projection)
     rest = drawn - null @ (null.T @ drawn)
-    return rest, np.einsum("nk,nk->k", drawn, rest)
+    return rest, np.maximum(np.einsum("nk,nk->k", drawn, rest), 1e-300)
 
 
 def log10_probability(projection: Projection, design: Singles) -> Floats:
@@ -240,7 +259,7 @@ def log10_probability(projection: Projection, design: Singles) -> Floats:
 
 
 def _null_of(projection: Projection) -> Floats:
-    """Whitened columns of the null, (n, p), of which z'y less the product of both with these is z'Py."""
+    """Whitened columns N of the null, (n, p), with Py = y - N N'y, P what projects the null out."""
     return np.asarray(np.hstack([projection.whitened.table, projection.beside]) @ projection.inverse_lower.T)
 
 

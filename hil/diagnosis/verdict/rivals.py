@@ -163,12 +163,13 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     found = {finding.effect: finding.term for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
     deflection = found.get("load_deflection")
+    tilts = any(is_tilt(term) for finding in findings if finding.effect == "load_deflection" for term in finding.terms)
     if deflection is not None and "torque_percent" in deflection.needs and "velocity_mm_s" not in recorded:
         out["load_deflection"] = ("velocity_lag",)
     elif "velocity_lag" in found and len(FORCES - set(recorded)) > (deflection is None):
         out["velocity_lag"] = ("load_deflection",)
     slow = SLOW & set(found)
-    if deflection is not None and (slow or is_tilt(deflection)) and not set(ANGLES) <= set(recorded):
+    if deflection is not None and (slow or tilts) and not set(ANGLES) <= set(recorded):
         out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
     if "abbe" in found and deflection is None and "load_kg" not in recorded:
         out["abbe"] = ("load_deflection",)
