@@ -135,11 +135,14 @@ class Policy:
     scan_fires_at: float = _number(
         2.5,
         "-log10 probability",
-        "of a wave left, with the number of waves tried of one column or of two",
+        "of a wave left among all of one column or of two, by the signs of the rows",
         "1 in 300 by itself; of 150 tuning machines without a cause one came beyond 2.2",
     )
     block_fires_at: float = _number(
-        6.0, LOG, "of a smooth function left", "of 150 tuning machines without a cause one came beyond 5.7"
+        6.0,
+        LOG,
+        "of a smooth function left, less what the sizes of the rows make of it",
+        "of 150 tuning machines without a cause one came beyond 5.7",
     )
     process_fires_at: float = _number(
         8.0,

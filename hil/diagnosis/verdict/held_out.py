@@ -149,6 +149,11 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
     return {name: left([c for c in refound if c.effect.id != name]) - everything for name in names}
 
 
+def few_of(rows: int) -> int:
+    """How many of so many rows noise may have far off together."""
+    return max(LEAST_ROWS, math.ceil(policy().few_rows * rows))
+
+
 def on_few_rows(chosen: Chosen) -> set[str]:
     """Effects that the records require only because of a few rows: without those to which it gives most, nothing is left of it.
 
@@ -157,7 +162,7 @@ def on_few_rows(chosen: Chosen) -> set[str]:
     """
     last = chosen.last
     campaign = last.searcher.linear.campaign
-    few = max(LEAST_ROWS, math.ceil(policy().few_rows * len(campaign)))
+    few = few_of(len(campaign))
     beyond_um = BEYOND_OUTLIERS * policy().outlier_limit * chosen.fit.white_um * math.hypot(1.0, last.noise.ar)
     out = set()
     for name in {choice.effect.id for choice in chosen.kept}:

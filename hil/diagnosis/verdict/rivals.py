@@ -16,7 +16,7 @@ from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.diagnosis.search.choose import Chosen
 from hil.diagnosis.search.fit import grid_choices
 from hil.diagnosis.search.rank import by_column, score_choices
-from hil.diagnosis.verdict.held_out import ONCE
+from hil.diagnosis.verdict.held_out import ONCE, few_of
 from hil.effects import Effect, Survey, Term
 from hil.effects.load_deflection import is_tilt
 from hil.effects.thermometers import TEMPERATURE
@@ -111,11 +111,17 @@ def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
     return len(jumps) == 1 and bool(campaign.run[jumps[0]] != campaign.run[jumps[0] + 1])
 
 
+def is_at_an_end(course_um: Floats) -> bool:
+    """Whether a course of the rows (n,) jumps where only a few of them are before or after."""
+    jumps = np.flatnonzero(np.diff(course_um)) + 1
+    return len(jumps) == 1 and bool(min(jumps[0], len(course_um) - jumps[0]) <= few_of(len(course_um)))
+
+
 def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignRows) -> bool:
-    """Whether whatever nobody recorded looks like this: a jump from one run to the next, or beside a course that wanders, which is one
-    course with it; several jumps, as a state makes them that comes and goes (of 56 such findings on machines of the grammar 4 were
-    right); a course in time that follows nothing; one that differs along the travel while none of the temperatures that were logged
-    shows it.
+    """Whether whatever nobody recorded looks like this: a jump from one run to the next, or with few rows before or after it, or
+    beside a course that wanders, which is one course with it; several jumps, as a state makes them that comes and goes (of 56 such
+    findings on machines of the grammar 4 were right); a course in time that follows nothing; one that differs along the travel while
+    none of the temperatures that were logged shows it.
     """
     survey, needs = campaign.survey, set(finding.term.needs)
     if {survey.time_column, "target_mm"} <= needs and survey.temperatures and not needs & set(survey.temperatures):
@@ -123,7 +129,10 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
     if finding.effect not in ONCE:
         return False
     wanders = any(one.term.form.shrunk for one in findings)
-    return wanders or len(finding.terms) > 1 or is_between_runs(finding.term.error_um(campaign.columns), campaign)
+    if wanders or len(finding.terms) > 1:
+        return True
+    course_um = finding.term.error_um(campaign.columns)
+    return is_between_runs(course_um, campaign) or is_at_an_end(course_um)
 
 
 def beaten_by_runs(chosen: Chosen) -> set[str]:

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from study.grammar.judge import outcome
 from study.grammar.machine import draw
+from support.campaigns import campaign as campaign_of
+from support.campaigns import wavy
 from support.workshop import TRAVEL_MM, Cause, Floats, workshop
 from threadpoolctl import threadpool_limits
 
@@ -751,6 +753,24 @@ def test_a_jump_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None
     back = replace(step.term, coefficients=tuple(-value for value in step.term.coefficients))
     assert is_unsure(replace(step, more=(back,)), [step], campaign)
     assert is_unsure(wandering, [wandering], campaign)
+    for rows, unsure in ((3, True), (9, False)):  # few of 360 rows are four
+        at_the_begin = float(np.mean(campaign.columns["time_s"][rows - 1 : rows + 1]))
+        early = replace(step, term=replace(step.term, theta=(at_the_begin,)))
+        assert is_unsure(early, [early], campaign) is unsure
+
+
+@pytest.mark.parametrize(("ppm_per_k", "plausible"), [(12.0, True), (60.0, False)])
+def test_what_no_material_does_is_named_in_doubt(ppm_per_k: float, plausible: bool) -> None:
+    def sensors(c: dict[str, Floats], rng: np.random.Generator) -> dict[str, Floats]:
+        return {"temp_screw_c": rng.uniform(18.0, 24.0, len(c["run"])), "air_temp_c": np.full(len(c["run"]), 20.0)}
+
+    records = campaign_of(
+        lambda c: wavy(c) + 1e-3 * ppm_per_k * c["target_mm"] * (c["temp_screw_c"] - 20.0), sensors=sensors, runs=5
+    )
+    found = {finding.effect: finding for finding in diagnose(records).findings}["thermal_expansion"]
+    assert found.is_implausible is not plausible
+    assert (found.confidence > 0.9) is plausible
+    assert ("unexplained" in {rival.effect for rival in found.rivals}) is not plausible
 
 
 def test_a_course_along_the_travel_that_no_logged_temperature_shows_is_unsure() -> None:
