@@ -133,15 +133,21 @@ class Policy:
     unknown_share: float = _number(0.5, NOISE, "of the nodes of a declared table that states none", "set by hand")
     # -- what is left ----------------------------------------------------------------------------------------------------
     scan_fires_at: float = _number(
-        2.5,
+        2.2,
         "-log10 probability",
         "of a wave left among all of one column or of two, by the signs of the rows",
-        "1 in 300 by itself; of 150 tuning machines without a cause one came beyond 2.2",
+        "1 in 160 by itself; of 500 machines without a cause at most three fired at 2.5",
+    )
+    by_signs: float = _number(
+        0.02,
+        SHARE,
+        "of draws of the signs of the rows that reach a smooth function's evidence, from which it is made of a few uneven rows",
+        "of such a function 0.18, of 11 weak causes of other machines at most 0.01",
     )
     block_fires_at: float = _number(
         6.0,
         LOG,
-        "of a smooth function left, less what the sizes of the rows make of it",
+        "of a smooth function left",
         "of 150 tuning machines without a cause one came beyond 5.7",
     )
     process_fires_at: float = _number(

@@ -175,7 +175,8 @@ def _clearest_block(
         trials = (blocks.block(null, *one) for one in designs)
         clear = sorted((one for one in trials if one.evidence > limit), key=lambda one: -one.evidence)
         sure = ((one.evidence - limit, one, blocks.sure_evidence(null, one)) for one in clear)
-        best += itertools.islice((one for one in sure if one[2] > limit), 1)
+        even = (one for one in sure if one[2] > limit and blocks.share_by_signs(null, one[1]) < policy().by_signs)
+        best += itertools.islice(even, 1)
     if not best:
         return None, 1.0
     _, clearest, evidence = max(best, key=lambda one: one[0])

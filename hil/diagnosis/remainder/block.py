@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf
-from scipy.special import logsumexp
 
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection
 from hil.diagnosis.remainder.null import Null
@@ -144,16 +143,13 @@ def block(null: Null, columns: tuple[str, ...], design: Floats) -> Block:
 
 
 def sure_evidence(null: Null, found: Block) -> float:
-    """The least evidence of a block under every noise model nearly as good, less what the sizes of the rows alone make of it."""
-    others = (evidence_of(projection, found.design)[0] for projection in null.nearly_as_good)
-    return min([found.evidence, *others]) - by_signs(null, found)
+    """The least evidence of a block under every noise model nearly as good."""
+    return min([found.evidence, *(evidence_of(projection, found.design)[0] for projection in null.nearly_as_good)])
 
 
-def by_signs(null: Null, found: Block) -> float:
-    """How much of a block's evidence the sizes of the rows alone make: the log of its mean Bayes factor over draws of their signs.
-
-    In even noise that mean is about one, and less counts as one; it is large where the block is made of a few rows that vary more than
-    the others.
+def share_by_signs(null: Null, found: Block) -> float:
+    """Share of the draws of the signs of the rows in which a block has at least its evidence: few in even noise, many where it is made
+    of a few rows that vary more than the others.
     """
     rest, rss = with_signs_anew(null.best)
     w = null.best.prepared(found.scaled)
@@ -162,7 +158,7 @@ def by_signs(null: Null, found: Block) -> float:
     explained = np.sum(np.linalg.solve(factor, w.T @ rest) ** 2, axis=0)
     left = np.maximum(1.0 - explained / rss, 1e-12)
     odds = -0.5 * null.best.dof * np.log(left) - float(np.sum(np.log(np.diag(factor))))
-    return max(float(logsumexp(odds)) - math.log(len(odds)), 0.0)
+    return float(np.mean(odds >= found.evidence))
 
 
 def outside_table(null: Null, found: Block) -> Floats:

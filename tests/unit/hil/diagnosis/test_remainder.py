@@ -22,7 +22,7 @@ from hil.diagnosis.noise.evidence import Extra
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
 from hil.diagnosis.remainder import LeftOver, carriers, is_part_of, left_over
-from hil.diagnosis.remainder.block import Block, block, by_signs, design_of
+from hil.diagnosis.remainder.block import Block, block, design_of, share_by_signs
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import best_by_chance, scan, variables
@@ -222,7 +222,7 @@ def test_a_block_of_a_cause_is_taken_though_one_of_a_few_uneven_rows_is_clearer(
     null = null_of(campaign, campaign.error_um)
     uneven = block(null, ("velocity_mm_s", "target_mm"), design_of(named["velocity_mm_s"], named["target_mm"], None))
     assert uneven.evidence > 5.0
-    assert by_signs(null, uneven) > 3.0
+    assert share_by_signs(null, uneven) > 0.05
     other = draw("outside weak", 109_028)  # a relay of a temperature times a bend of the position
     found = diagnose(Records.of(other.fit.records))
     assert found.unexplained
@@ -231,7 +231,7 @@ def test_a_block_of_a_cause_is_taken_though_one_of_a_few_uneven_rows_is_clearer(
     null = null_of(campaign, campaign.error_um)
     of_cause = block(null, ("temp_bed_c", "target_mm"), design_of(named["temp_bed_c"], named["target_mm"], None))
     assert of_cause.evidence > 6.0
-    assert by_signs(null, of_cause) < 1.0
+    assert share_by_signs(null, of_cause) < policy().by_signs
 
 
 def test_the_best_of_many_in_noise_is_as_likely_as_its_number_says() -> None:
@@ -716,6 +716,10 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
         ("thermal_drift", "temp_bed_c", ("target_mm", "temp_screw_c"), True),  # they rise together
         ("lost_motion", "since_reversal_mm", ("since_reversal_mm", "stroke_mm", "direction"), False),
         ("lost_motion", "since_reversal_mm", ("since_reversal_mm", "pitch_urad"), True),
+        ("cyclic", "target_mm", ("target_mm", "temp_bed_c"), True),  # it may be the mean of that
+        ("cyclic", "target_mm", ("since_reversal_mm", "direction"), True),
+        ("cyclic", "target_mm", ("temp_bed_c",), False),
+        ("backlash", "direction", ("target_mm", "temp_bed_c"), False),
     ],
 )
 def test_a_name_is_refuted_by_what_is_left_along_its_column_and_another(
