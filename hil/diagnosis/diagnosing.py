@@ -369,7 +369,11 @@ def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows
     """Whether the table can hold most of an effect of position and direction: its size and name rest on what is left."""
     if not finding.term.effect.static:
         return False
-    return _beside_table_um(_of_equal_rows(chosen), finding.term, campaign) < policy().in_table * finding.rms_um
+    terms = finding.terms if finding.summed else (finding.term,)
+    whole_um = np.sum([term.error_um(campaign.columns) for term in terms], axis=0)
+    size_um = float(np.std(whole_um)) if finding.summed else finding.rms_um
+    beside_um = math.sqrt(_energy_beside(_of_equal_rows(chosen), whole_um) / len(campaign))
+    return beside_um < policy().in_table * size_um
 
 
 def _of_equal_rows(chosen: Chosen) -> Projection:

@@ -135,13 +135,16 @@ class Policy:
     scan_fires_at: float = _number(
         2.2,
         "-log10 probability",
-        "of a wave left among all of one column or of two, by the signs of the rows",
+        "of the best wave left, among those of one column or of two, with the signs of the rows drawn anew",
         "1 in 160 by itself; of 500 machines without a cause at most three fired at 2.5",
+    )
+    part_fires_at: float = _number(
+        2.5, "-log10 probability", "of a wave in one run alone, or along every so many rows", "1 in 300 by itself"
     )
     by_signs: float = _number(
         0.02,
         SHARE,
-        "of draws of the signs of the rows that reach a smooth function's evidence, from which it is made of a few uneven rows",
+        "of draws of the rows' signs that reach a smooth function's evidence, from which on it is put down to a few uneven rows",
         "of such a function 0.18, of 11 weak causes of other machines at most 0.01",
     )
     block_fires_at: float = _number(

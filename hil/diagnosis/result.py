@@ -51,7 +51,7 @@ class Finding:
 
     confidence: share of the weight among all causes, 0 … 1
     rms_um, rms_std_um, peak_um: what the effect contributes to these rows about its mean: RMS, its standard uncertainty, largest; of
-        several terms that are one course beside a table of these rows, what that table holds left out
+        several terms that are one course beside a table of these rows, without what that table holds
     more: further terms of the same effect
     follows: the same effect by other columns that fit nearly as well, each with its share, and the share of the column of `term`
     beside_any_table: it was found beside a table fitted from the rows; else only because the declared table lacks it
@@ -87,7 +87,7 @@ class Finding:
         size = Estimate(self.rms_um, self.rms_std_um)
         return (
             f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)} that no single form of the catalogue"
-            f" has, {size} µm RMS over these rows beside the table and {self.peak_um:.3g} µm at most; of its {len(self.terms)}"
+            f" has, {size} µm RMS over these rows and {self.peak_um:.3g} µm at most; of its {len(self.terms)}"
             " parts only the sum is determined."
         )
 

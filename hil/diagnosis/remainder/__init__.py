@@ -41,7 +41,7 @@ class LeftOver:
     """Something is left: the columns that carry it, columns that move together with one of them, its size and its values.
 
     equivalent: by column; rms: beside the table, µm
-    extra: its columns for a fit; probability: of as much in noise, with the number of tests
+    extra: its columns for a fit; probability: of as much in noise, of a wave with the number of waves, of a smooth function by itself
     """
 
     columns: tuple[str, ...]
@@ -74,7 +74,7 @@ def left_over(
         scanned = waves.scan(null, columns)
         best: Block | None = None
         chance = 10.0**-scanned.score
-        if scanned.score < policy().scan_fires_at:  # a smooth function of the speed may be the noise of a few fast rows
+        if scanned.score < policy().scan_fires_at:
             best, chance = _clearest_block(null, waves.variables(campaign, signed=True), x, d)
         carrier: Carried | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
@@ -166,7 +166,7 @@ def _clearest_block(
     null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None
 ) -> tuple[Block | None, float]:
     """The block of highest evidence, of one column, of two or of a process, that is beyond noise under every noise model and beyond
-    what the sizes of the rows alone make, with the probability of as much in noise; None and 1 where there is none.
+    what the sizes of the rows alone make, with its probability in noise by itself; None and 1 where there is none.
     """
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
     kinds = ((_smooth(columns, d), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))

@@ -148,8 +148,8 @@ def sure_evidence(null: Null, found: Block) -> float:
 
 
 def share_by_signs(null: Null, found: Block) -> float:
-    """Share of the draws of the signs of the rows in which a block has at least its evidence: few in even noise, many where it is made
-    of a few rows that vary more than the others.
+    """Share of the draws of the signs of the rows in which a block of this variance has at least its evidence: few in even noise, many
+    where it is made of a few rows that vary more than the others.
     """
     rest, rss = with_signs_anew(null.best)
     w = null.best.prepared(found.scaled)

@@ -54,18 +54,24 @@ def carried(null: Null, columns: Sequence[Variable], found: Scan, best: Block | 
         trials.append(_trial(null, named, groups[0].columns, d, groups))
     if best is not None:
         trials += [_trial(null, named, (name,), d) for name in best.columns if name in named and name != "target_mm"]
-    top = max(trials, key=_worth)
+    top = _even(null, trials)
     slow = (
         [v for v in columns if is_slow(v)] if _may_remember(top, named, null.linear.campaign.survey.time_column) else []
     )
     late = [one for v in slow for one in _late(null, named, top, _remembered(v, null.linear.campaign), d)]
-    top = max([top, *late], key=_worth)
+    top = _even(null, [top, *late])
     return Carried(top, _equivalent(null, named, top, [*trials, *late], d))
 
 
 def is_slow(v: Variable) -> bool:
     """Whether a column changes little from row to row."""
     return bool(not v.levels and np.mean(np.diff(v.u) ** 2) < SLOW * np.var(v.u))
+
+
+def _even(null: Null, trials: Sequence[Block]) -> Block:
+    """The function of highest evidence that is not made of a few uneven rows; that of highest evidence where all are."""
+    ordered = sorted(trials, key=_worth, reverse=True)
+    return next((one for one in ordered if blocks.share_by_signs(null, one) < policy().by_signs), ordered[0])
 
 
 def _worth(trial: Block) -> float:
@@ -86,20 +92,6 @@ def _trial(
     if "target_mm" in names:  # a fine one spends variance on waves that a coarse cause has not
         designs.append(blocks.design_of(*pair, directed, fine=True))
     return max((blocks.block(null, tuple(names), design) for design in designs), key=lambda trial: trial.evidence)
-
-
-def _processes(null: Null, named: dict[str, Variable], groups: Sequence[Group], d: Floats | None) -> Iterator[Block]:
-    """A process in time that multiplies the wave along the position of a set's best group, where its columns are these two."""
-    names = groups[0].columns
-    time = named.get(null.linear.campaign.survey.time_column)
-    if time is None or time.levels or {*names} - {"direction"} != {"target_mm", time.name}:
-        return
-    one = groups[0]
-    periods = one.periods if one.first.name == "target_mm" else one.second_periods
-    wave = named["target_mm"].waves(np.array([periods]))[0].T
-    if "direction" in names and d is not None:
-        wave = wave * d[:, None]
-    yield blocks.block(null, names, blocks.process_of(wave, time))
 
 
 def _may_remember(top: Block, named: dict[str, Variable], time: str) -> bool:

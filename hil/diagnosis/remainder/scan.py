@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -37,7 +38,7 @@ FINER_POSITION, COARSER = 8.0, 2.0
 FEW_LEVELS = 8
 """Distinct values up to which a column is set in steps."""
 RESCORED = 25
-"""Best groups that are tested under every noise model nearly as good."""
+"""Best groups, at most GROUPS of the same columns, that are tested under every noise model nearly as good."""
 WORSE = 12.0
 """-log10 of a probability by which a group may be behind the best of its batch to stand for its columns."""
 GROUPS = 2
@@ -126,16 +127,21 @@ class Scan:
     """The best groups with -log10 of the probability that chance reaches as much with any group, best first.
 
     batches: all groups as they were tested together, with -log10 of the probability of each by itself, shape (G,)
+    uneven: columns of which the signs say that chance reaches as much
     """
 
     best: tuple[tuple[Group, float], ...]
     batches: tuple[tuple[Sequence[Group], Floats], ...]
+    uneven: frozenset[tuple[Variable, ...]] = frozenset()
 
     @cached_property
     def by_columns(self) -> tuple[tuple[Group, ...], ...]:
         """The best groups of each set of columns, at most GROUPS, the best set first: asked for when what is left must be named."""
         sets: dict[tuple[str, str, bool], list[tuple[float, Group]]] = {}
-        for groups, scores in self.batches:
+        for groups, raw in self.batches:
+            scores = raw
+            if self.uneven:
+                scores = np.where([group.variables in self.uneven for group in groups], -np.inf, raw)
             for i in np.flatnonzero(scores > np.max(scores) - WORSE).tolist():
                 one = groups[i]
                 key = one.first.name, one.second.name if one.second else "", one.with_direction
@@ -171,7 +177,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
     """Tests every group under the best noise model, and the best ones again under those nearly as good; the worst counts.
 
     Waves of one column share half of the chance of a false alarm, products of two the other half: of these there are many more. Where
-    the best group nearly fires, or does, its probability among those of its columns is by the signs, under the best noise model.
+    a group nearly fires, or does, the signs say how likely it is among the groups of its columns, under the best noise model.
     """
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None
@@ -180,11 +186,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         batches.append((groups, -log10_probability(null.best, design)))
     tests = {width: sum(len(groups) for groups, _ in batches if groups[0].width == width) for width in WIDTHS}
     known = {width: math.log10(len(WIDTHS) * max(count, 1)) for width, count in tests.items()}
-    found: list[tuple[float, Group]] = []
-    for tested, raw in batches:
-        top = np.argsort(-raw)[:RESCORED]
-        found.extend((float(raw[i]) - known[tested[0].width], tested[i]) for i in top)
-    found = sorted(found, key=lambda pair: -pair[0])[:RESCORED]
+    found = _best_of_each(batches, known)
     scores = np.array([score for score, _ in found])
     for width in WIDTHS:
         mine = [i for i, (score, group) in enumerate(found) if group.width == width and score > 0.0]
@@ -194,20 +196,47 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         stacked = np.stack([design.T for design in designs]).astype(np.float32)
         for projection in null.nearly_as_good:
             scores[mine] = np.minimum(scores[mine], -log10_probability(projection, stacked) - known[width])
-    asked: set[tuple[Variable, ...]] = set()
-    while len(scores) and np.max(scores) > policy().scan_fires_at - NEARLY:
-        own = found[int(np.argmax(scores))][1].variables
-        if own in asked:
-            break
-        asked.add(own)
+    fires = policy().scan_fires_at
+    settled, uneven = -np.inf, set()
+    for own in dict.fromkeys(group.variables for _, group in found):
+        mine = [i for i, (_, group) in enumerate(found) if group.variables == own]
+        top = float(np.max(scores[mine]))
+        if top <= fires - NEARLY or top <= settled:
+            continue
         by_chance = best_by_chance(null.best, own, d)
-        for i, (_, group) in enumerate(found):
-            if group.variables == own:
-                chance = by_chance[group.width]
-                reached = scores[i] + known[group.width]
-                scores[i] = chance.score(reached) - known[group.width] + math.log10(chance.groups)
+        for i in mine:
+            width = found[i][1].width
+            chance = by_chance[width]
+            scores[i] = chance.score(scores[i] + known[width]) - known[width] + math.log10(chance.groups)
+        top = float(np.max(scores[mine]))
+        if top >= fires:
+            settled = max(settled, top)
+        elif top < fires - NEARLY:
+            uneven.add(own)
     best = [(group, float(score)) for (_, group), score in zip(found, scores, strict=True)]
-    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tuple(batches))
+    return Scan(tuple(sorted(best, key=lambda pair: -pair[1])), tuple(batches), frozenset(uneven))
+
+
+def _best_of_each(
+    batches: Sequence[tuple[Sequence[Group], Floats]], known: dict[int, float]
+) -> list[tuple[float, Group]]:
+    """The best groups with their scores by number, best first: at most GROUPS of the same columns, so that those of a few uneven rows
+    do not keep out a cause of all rows.
+    """
+    if not batches:
+        return []
+    every = [group for groups, _ in batches for group in groups]
+    scores = np.concatenate([raw - known[groups[0].width] for groups, raw in batches])
+    taken: Counter[tuple[Variable, ...]] = Counter()
+    out: list[tuple[float, Group]] = []
+    for i in np.argsort(-scores).tolist():
+        group = every[i]
+        if taken[group.variables] < GROUPS:
+            taken[group.variables] += 1
+            out.append((float(scores[i]), group))
+            if len(out) == RESCORED:
+                break
+    return out
 
 
 @dataclass(frozen=True)

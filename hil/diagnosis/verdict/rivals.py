@@ -220,7 +220,7 @@ def with_rivals(
 def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
     """Whether what is left follows a column of the effect together with another one: then the machine has a function of that column
     which is not the effect's, and all of it may be that. In the effect's own columns alone it is another form of the same cause. A
-    function of the position alone may be the mean of what changes along it with another column; the way to the target is one.
+    function of the position alone may be the mean of what changes along it with another column, or with the way since the reversal.
     """
     needs = {_kind(name) for term in finding.terms for name in term.needs}
     own = needs - {"target_mm", "direction"}
@@ -228,7 +228,7 @@ def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
         own -= {"time_s", "row_order"}
     columns = {_kind(name) for name in carrier.columns if name != "direction"}
     if "target_mm" in needs and not own:
-        return "way" in columns or ("target_mm" in columns and len(columns) > 1)
+        return "way" in columns or ("target_mm" in columns and len(columns - {"run", "row_order"}) > 1)
     return bool(columns & own) and not columns <= own
 
 

@@ -25,12 +25,13 @@ from hil.diagnosis.remainder import LeftOver, carriers, is_part_of, left_over
 from hil.diagnosis.remainder.block import Block, block, design_of, share_by_signs
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
-from hil.diagnosis.remainder.scan import best_by_chance, scan, variables
+from hil.diagnosis.remainder.scan import Group, Scan, best_by_chance, scan, variables
 from hil.diagnosis.result import Carrier, Finding, NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.search.select import Selected
+from hil.diagnosis.verdict.held_out import few_of
 from hil.diagnosis.verdict.rivals import (
     SENSORS,
     beside_unseen_causes,
@@ -213,7 +214,7 @@ def test_however_large_a_few_rows_are_their_sizes_alone_are_no_structure(
     assert as_it_is < 2.0
 
 
-def test_a_block_of_a_cause_is_taken_though_one_of_a_few_uneven_rows_is_clearer() -> None:
+def test_a_block_of_a_few_uneven_rows_is_known_by_the_signs_and_one_of_a_cause_too() -> None:
     """A machine without a cause, whose noise grows with the speed: a function of speed and position was found on its fast rows."""
     rows = draw("clean", 109_000).fit.records
     assert not diagnose(Records.of(rows)).unexplained
@@ -234,6 +235,33 @@ def test_a_block_of_a_cause_is_taken_though_one_of_a_few_uneven_rows_is_clearer(
     assert share_by_signs(null, of_cause) < policy().by_signs
 
 
+def test_a_cause_is_found_and_named_though_a_few_uneven_rows_seem_clearer() -> None:
+    """Rows of a machine without a cause, the noise of the fastest twelve times as large: by number their products take all places."""
+    campaign = prepare(Records.of(draw("clean", 109_000).fit.records))
+    named = {v.name: v for v in variables(campaign)}
+    x, air = named["target_mm"].u, named["air_temp_c"].u
+    speed = np.abs(campaign.columns["velocity_mm_s"])
+    noise_um = np.random.default_rng(3).normal(0.0, NOISE_UM, len(campaign)) * np.where(
+        speed > 0.95 * np.max(speed), 12.0, 1.0
+    )
+    null = null_of(campaign, noise_um + 1.2 * np.cos(2 * np.pi * 2.5 * x) * np.cos(2 * np.pi * air))
+    found = scan(null, variables(campaign))
+    assert found.score > policy().scan_fires_at
+    assert set(found.best[0][0].columns) - {"direction"} == {"air_temp_c", "target_mm"}
+    groups, scores = max(found.batches, key=lambda batch: float(np.max(batch[1])))
+    assert "velocity_mm_s" in groups[int(np.argmax(scores))].columns
+    carrier = carriers.carried(null, variables(campaign), found, None, campaign.d)
+    assert carrier.block.columns == ("target_mm", "temp_screw_c"), "it warms with the air"
+    assert "air_temp_c" in carrier.equivalent["temp_screw_c"]
+    uneven = carriers.carried(null, variables(campaign), replace(found, uneven=frozenset()), None, campaign.d).block
+    assert "velocity_mm_s" in uneven.columns
+
+
+def raw_score(found: Scan, group: Group) -> float:
+    """-log10 of the probability of a group by itself in even noise."""
+    return max(float(scores[groups.index(group)]) for groups, scores in found.batches if group in groups)
+
+
 def test_the_best_of_many_in_noise_is_as_likely_as_its_number_says() -> None:
     campaign = prepare(workshop(11)[0])
     null = null_of(campaign, np.random.default_rng(1).normal(0.0, NOISE_UM, len(campaign)))
@@ -249,7 +277,7 @@ def test_a_score_by_the_signs_of_its_columns_counts_the_other_columns_too() -> N
     found = scan(null, variables(campaign))
     group, score = found.best[0]
     number = {width: sum(len(own) for own, _ in found.batches if own[0].width == width) for width in (2, 4)}
-    raw = max(float(values[own.index(group)]) for own, values in found.batches if group in own)
+    raw = raw_score(found, group)
     chance = best_by_chance(null.best, group.variables, campaign.d)[group.width]
     assert 1 < chance.groups < number[group.width] / 2
     assert score == pytest.approx(chance.score(raw) - np.log10(2 * number[group.width] / chance.groups))
@@ -719,6 +747,7 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
         ("cyclic", "target_mm", ("target_mm", "temp_bed_c"), True),  # it may be the mean of that
         ("cyclic", "target_mm", ("since_reversal_mm", "direction"), True),
         ("cyclic", "target_mm", ("temp_bed_c",), False),
+        ("cyclic", "target_mm", ("run", "target_mm"), False),  # a wave in one run has no mean in the others
         ("backlash", "direction", ("target_mm", "temp_bed_c"), False),
     ],
 )
@@ -757,10 +786,11 @@ def test_a_jump_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None
     back = replace(step.term, coefficients=tuple(-value for value in step.term.coefficients))
     assert is_unsure(replace(step, more=(back,)), [step], campaign)
     assert is_unsure(wandering, [wandering], campaign)
-    for rows, unsure in ((3, True), (9, False)):  # few of 360 rows are four
-        at_the_begin = float(np.mean(campaign.columns["time_s"][rows - 1 : rows + 1]))
-        early = replace(step, term=replace(step.term, theta=(at_the_begin,)))
-        assert is_unsure(early, [early], campaign) is unsure
+    few = few_of(len(campaign))
+    for rows, unsure in ((few, True), (few + 1, False), (len(campaign) - few, True), (len(campaign) - few - 1, False)):
+        moment = float(np.mean(campaign.columns["time_s"][rows - 1 : rows + 1]))
+        near_an_end = replace(step, term=replace(step.term, theta=(moment,)))
+        assert is_unsure(near_an_end, [near_an_end], campaign) is unsure
 
 
 @pytest.mark.parametrize(("ppm_per_k", "plausible"), [(12.0, True), (60.0, False)])
