@@ -74,7 +74,7 @@ def every_so_many(null: Null, x: Variable, d: Floats | None) -> Block | None:
     design = waves[top] * (np.arange(n) % k == first)
     others = [-float(log10_probability(model, design[None].astype(np.float32))[0]) for model in null.nearly_as_good]
     score = min([float(scores[best, top]), *others]) - float(np.log10(scores.size))
-    if score < policy().part_fires_at:
+    if score < policy().scan_fires_at:
         return None
     directed = d is not None and top >= len(waves) // 2
     names = ("row_order", "target_mm", "direction") if directed else ("row_order", "target_mm")

@@ -37,7 +37,7 @@ def in_one_run(null: Null, raw: Floats, x: Variable, d: Floats | None) -> Block 
         scores = np.min([_scores(model, designs, rows) for model in models], axis=0)
         scores -= np.log10(tests)
         top = int(np.argmax(scores))
-        if scores[top] > policy().part_fires_at and (best is None or scores[top] > best[0]):
+        if scores[top] > policy().scan_fires_at and (best is None or scores[top] > best[0]):
             best = float(scores[top]), designs[top], top >= len(waves)
     if best is None:
         return None
