@@ -793,7 +793,7 @@ def test_a_jump_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None
         assert is_unsure(near_an_end, [near_an_end], campaign) is unsure
 
 
-@pytest.mark.parametrize(("ppm_per_k", "plausible"), [(12.0, True), (60.0, False)])
+@pytest.mark.parametrize(("ppm_per_k", "plausible"), [(12.0, True), (40.0, False)])
 def test_what_no_material_does_is_named_in_doubt(ppm_per_k: float, plausible: bool) -> None:
     def sensors(c: dict[str, Floats], rng: np.random.Generator) -> dict[str, Floats]:
         return {"temp_screw_c": rng.uniform(18.0, 24.0, len(c["run"])), "air_temp_c": np.full(len(c["run"]), 20.0)}
