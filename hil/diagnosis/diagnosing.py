@@ -355,14 +355,14 @@ def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
     projection = _of_equal_rows(chosen)
     return any(
         may_be_misfit(left.columns, term.form, campaign.survey)
-        and left.rms.value < policy().shape * _beside_table_um(projection, term, campaign)
+        and left.rms.value < policy().shape * _beside_table_um(projection, term.error_um(campaign.columns))
         for term in chosen.fit.found
     )
 
 
-def _beside_table_um(projection: Projection, term: Term, campaign: CampaignRows) -> float:
-    """RMS over the rows of what the table cannot hold of a term, µm."""
-    return math.sqrt(_energy_beside(projection, term.error_um(campaign.columns)) / len(campaign))
+def _beside_table_um(projection: Projection, course_um: Floats) -> float:
+    """RMS over the rows of what the table cannot hold of a course of them (n,), µm."""
+    return math.sqrt(_energy_beside(projection, course_um) / len(course_um))
 
 
 def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows) -> bool:
@@ -372,8 +372,7 @@ def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows
     terms = finding.terms if finding.summed else (finding.term,)
     whole_um = np.sum([term.error_um(campaign.columns) for term in terms], axis=0)
     size_um = float(np.std(whole_um)) if finding.summed else finding.rms_um
-    beside_um = math.sqrt(_energy_beside(_of_equal_rows(chosen), whole_um) / len(campaign))
-    return beside_um < policy().in_table * size_um
+    return _beside_table_um(_of_equal_rows(chosen), whole_um) < policy().in_table * size_um
 
 
 def _of_equal_rows(chosen: Chosen) -> Projection:

@@ -146,10 +146,7 @@ class Policy:
         "of such a function 0.18, of 11 weak causes of other machines at most 0.01",
     )
     block_fires_at: float = _number(
-        6.0,
-        LOG,
-        "of a smooth function left",
-        "of 150 tuning machines without a cause one came beyond 5.7",
+        6.0, LOG, "of a smooth function left", "of 150 tuning machines without a cause one came beyond 5.7"
     )
     process_fires_at: float = _number(
         8.0,

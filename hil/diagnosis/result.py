@@ -87,8 +87,8 @@ class Finding:
         size = Estimate(self.rms_um, self.rms_std_um)
         return (
             f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)} that no single form of the catalogue"
-            f" has, {size} µm RMS over these rows and {self.peak_um:.3g} µm at most; of its {len(self.terms)}"
-            " parts only the sum is determined."
+            f" has, {size} µm RMS over these rows and {self.peak_um:.3g} µm at most; of its {len(self.terms)} parts only the"
+            " sum is determined."
         )
 
     @property

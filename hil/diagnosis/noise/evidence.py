@@ -246,6 +246,11 @@ class Projection:
         return self.solve_lower(cross)
 
     @cached_property
+    def projected(self) -> Floats:
+        """Whitened columns N of everything projected out, (n, p), with Py = y - N N'y."""
+        return np.asarray(np.hstack([self.whitened.table, self.beside]) @ self.inverse_lower.T)
+
+    @cached_property
     def rest(self) -> Floats:
         """Prepared errors with everything projected out, shape (n,) or (n, b).
 

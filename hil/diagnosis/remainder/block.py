@@ -16,7 +16,7 @@ from scipy.linalg.lapack import dpotrf
 
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection
 from hil.diagnosis.remainder.null import Null
-from hil.diagnosis.remainder.scan import Group, Variable, with_signs_anew
+from hil.diagnosis.remainder.scan import Group, Variable
 from hil.diagnosis.search.structure_estimate import rms_of
 from hil.effects import Estimate
 
@@ -151,7 +151,7 @@ def share_by_signs(null: Null, found: Block) -> float:
     """Share of the draws of the signs of the rows in which a block of this variance has at least its evidence: few in even noise, many
     where it is made of a few rows that vary more than the others.
     """
-    rest, rss = with_signs_anew(null.best)
+    rest, rss = null.signs_anew
     w = null.best.prepared(found.scaled)
     shadow = null.best.shadow(w)
     factor = np.linalg.cholesky(w.T @ w - shadow.T @ shadow + np.eye(w.shape[1]))

@@ -49,8 +49,6 @@ BATCH = 1024
 """Groups tested together."""
 WIDTHS = (2, 4)
 """Columns of a group of one column and of a product of two."""
-FLIPS = 200
-"""Draws of the signs: the scale of what the best group reaches is then known to 7 % (its standard deviation, of 200 Gumbel values)."""
 LEAST_SCALE = 1.0 / math.log(10.0)
 """Scale of -log10 of the smallest of many probabilities in even noise, which is Gumbel distributed; where rows differ it is larger."""
 NEARLY = 1.0
@@ -132,7 +130,7 @@ class Scan:
 
     best: tuple[tuple[Group, float], ...]
     batches: tuple[tuple[Sequence[Group], Floats], ...]
-    uneven: frozenset[tuple[Variable, ...]] = frozenset()
+    uneven: frozenset[tuple[Variable, ...]]
 
     @cached_property
     def by_columns(self) -> tuple[tuple[Group, ...], ...]:
@@ -203,7 +201,7 @@ def scan(null: Null, columns: Sequence[Variable]) -> Scan:
         top = float(np.max(scores[mine]))
         if top <= fires - NEARLY or top <= settled:
             continue
-        by_chance = best_by_chance(null.best, own, d)
+        by_chance = best_by_chance(null, own, d)
         for i in mine:
             width = found[i][1].width
             chance = by_chance[width]
@@ -252,33 +250,21 @@ class Chance:
         return -math.log10(max(-math.expm1(-math.exp(-(reached - self.location) / self.scale)), 1e-300))
 
 
-def best_by_chance(projection: Projection, columns: Sequence[Variable], d: Floats | None) -> dict[int, Chance]:
+def best_by_chance(null: Null, columns: Sequence[Variable], d: Floats | None) -> dict[int, Chance]:
     """By width, the best group of some columns in the residual with the signs of its rows drawn anew."""
-    rest, rss = with_signs_anew(projection)
-    most = {width: np.zeros(FLIPS) for width in WIDTHS}
+    rest, rss = null.signs_anew
+    most = {width: np.zeros(len(rss)) for width in WIDTHS}
     count = dict.fromkeys(WIDTHS, 0)
     for groups, design in _batches(columns, d):
         width = groups[0].width
         count[width] += len(groups)
-        most[width] = np.maximum(most[width], np.max(_explained(projection, design, rest), axis=0) / rss)
+        most[width] = np.maximum(most[width], np.max(_explained(null.best, design, rest), axis=0) / rss)
     out = {}
     for width, share in most.items():
-        reached = -log10_tail(share, width, projection.dof)
+        reached = -log10_tail(share, width, null.best.dof)
         scale = max(math.sqrt(6.0) / math.pi * float(np.std(reached)), LEAST_SCALE)
         out[width] = Chance(max(count[width], 1), float(np.mean(reached)) - float(np.euler_gamma) * scale, scale)
     return out
-
-
-def with_signs_anew(projection: Projection) -> tuple[Floats, Floats]:
-    """Residuals z with the signs of the whitened rest drawn anew: Pz, (n, FLIPS), and z'Pz, (FLIPS,), P what projects the null out.
-
-    The draws have no random effects of the null. Where these take a fifth of the degrees of freedom they say too much of chance.
-    """
-    signs = np.random.default_rng(0).choice((-1.0, 1.0), size=(len(projection.rest), FLIPS))
-    drawn = signs * projection.rest[:, None]
-    null = _null_of(projection)
-    rest = drawn - null @ (null.T @ drawn)
-    return rest, np.maximum(np.einsum("nk,nk->k", drawn, rest), 1e-300)
 
 
 def log10_probability(projection: Projection, design: Singles) -> Floats:
@@ -287,17 +273,12 @@ def log10_probability(projection: Projection, design: Singles) -> Floats:
     return log10_tail(explained / float(projection.rss), design.shape[1], projection.dof)
 
 
-def _null_of(projection: Projection) -> Floats:
-    """Whitened columns N of the null, (n, p), with Py = y - N N'y, P what projects the null out."""
-    return np.asarray(np.hstack([projection.whitened.table, projection.beside]) @ projection.inverse_lower.T)
-
-
 def _explained(projection: Projection, design: Singles, rest: Floats) -> Floats:
     """Squares that each group (G, w, n) explains of each whitened residual with the null projected out (n, k), shape (G, k)."""
     count, width, n = design.shape
     flat = design.reshape(count * width, n)
     white = np.ascontiguousarray(projection.whitened.whiten(flat.T).T)
-    shadow = (white @ _null_of(projection).astype(np.float32)).reshape(count, width, -1)
+    shadow = (white @ projection.projected.astype(np.float32)).reshape(count, width, -1)
     blocks = white.reshape(count, width, n)
     whole = blocks @ blocks.transpose(0, 2, 1)
     raw = np.einsum("gii->gi", whole)

@@ -265,7 +265,7 @@ def raw_score(found: Scan, group: Group) -> float:
 def test_the_best_of_many_in_noise_is_as_likely_as_its_number_says() -> None:
     campaign = prepare(workshop(11)[0])
     null = null_of(campaign, np.random.default_rng(1).normal(0.0, NOISE_UM, len(campaign)))
-    for chance in best_by_chance(null.best, variables(campaign), campaign.d).values():
+    for chance in best_by_chance(null, variables(campaign), campaign.d).values():
         assert -0.8 < chance.location - np.log10(chance.groups) < 0.3, "groups that overlap count for fewer"
         assert chance.score(chance.location + 1.0) == pytest.approx(1.0, abs=0.2)
         assert chance.score(chance.location - 2.0) == pytest.approx(0.0, abs=1e-3)
@@ -278,7 +278,7 @@ def test_a_score_by_the_signs_of_its_columns_counts_the_other_columns_too() -> N
     group, score = found.best[0]
     number = {width: sum(len(own) for own, _ in found.batches if own[0].width == width) for width in (2, 4)}
     raw = raw_score(found, group)
-    chance = best_by_chance(null.best, group.variables, campaign.d)[group.width]
+    chance = best_by_chance(null, group.variables, campaign.d)[group.width]
     assert 1 < chance.groups < number[group.width] / 2
     assert score == pytest.approx(chance.score(raw) - np.log10(2 * number[group.width] / chance.groups))
 
