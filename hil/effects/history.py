@@ -142,14 +142,15 @@ def branches(position_mm: Floats, direction: Floats, since_mm: Floats, stroke_mm
     """
     found = np.empty((len(position_mm), len(BRANCH)))
     turns: tuple[float, ...] = ()
-    here = way = turned_before = np.nan
+    here = way = turned_before = stroke_before = np.nan
     rows = zip(*(values.tolist() for values in (position_mm, direction, since_mm, stroke_mm)), strict=True)
     for i, (place, ahead, since, stroke) in enumerate(rows):
         turned = place - ahead * since
         known = stroke < LONG_STROKE_MM
         before = turned + ahead * stroke
         legs: tuple[float, ...] = (place,)
-        if ahead == way and abs(turned - turned_before) <= SAME_PLACE_MM and ahead * (place - here) >= -SAME_PLACE_MM:
+        same = abs(turned - turned_before) <= SAME_PLACE_MM and abs(stroke - stroke_before) <= SAME_PLACE_MM
+        if ahead == way and same and ahead * (place - here) >= -SAME_PLACE_MM:
             pass
         elif known and ahead == -way and abs(before - turned_before) <= SAME_PLACE_MM:
             legs = (turned, place)
@@ -163,7 +164,7 @@ def branches(position_mm: Floats, direction: Floats, since_mm: Floats, stroke_mm
                 here, way = leg, 1.0 if leg > here else -1.0
         if way != ahead:  # it stands on the reversal itself
             turns, way = (*turns, here), ahead
-        found[i], turned_before = strokes_of(turns, here), turned
+        found[i], turned_before, stroke_before = strokes_of(turns, here), turned, stroke
     return dict(zip(BRANCH, found.T, strict=True))
 
 

@@ -5,6 +5,8 @@ error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reve
 large s belongs to the table. Elements that stick and slip at different forces (Prandtl, Masing) remember strokes that were too short
 to wind them up: error = amount · d · (f(s / length) - f(S₁ / length) + f(S₂ / length) - …), s the travel since the last reversal that
 is remembered, S₁, S₂ … the strokes before it (`hil.effects.history.BRANCH`); where a loop closes it is the branch from before.
+Where such strokes are among the rows, f may also be that of Dahl's friction model, whose force rises as dF/ds = (1 - F)^n: n = 1 is
+the exponential, n = 1/2 a parabola that ends, n = 2 a hyperbola (P. R. Dahl, AIAA Journal 14, 1976).
 (A controller's two-stage running form is in `hil.lost_motion`, fitted to dense reversals.)
 """
 
@@ -22,10 +24,20 @@ from hil.effects.survey import Survey
 EXPONENTIAL = "exponential"
 TANH = "tanh"
 TWO_STAGE = "two lengths"
-REMEMBERED = {"exponential, strokes remembered": EXPONENTIAL, "tanh, strokes remembered": TANH}
+DAHL = "Dahl"
+REMEMBERED = {f"{name}, strokes remembered": name for name in (EXPONENTIAL, TANH, DAHL)}
 """Forms with the strokes before, and the form that each has after a long one."""
+LEAST_EXPONENT, MOST_EXPONENT = -1.0, 3.0
+"""Of Dahl's model: below 0 what is left ends abruptly, as after a gap; above 2 it has a long tail."""
+EXPONENTS = (-0.5, 0.5, 2.0, 3.0)
+SHORTEST = 1e-3
+"""Least length that is searched, in travels, where rows lie closer to a reversal."""
 ONE_STROKE = {"exponential, short strokes remembered": EXPONENTIAL, "tanh, short strokes remembered": TANH}
 """Of models stored before: the last stroke alone is remembered."""
+NEARLY_ONE = 1e-3
+"""Difference of Dahl's exponent from 1 within which it is the exponential."""
+ENDED = 1e-12
+"""What stands for 0 in a power, where the lost motion has ended."""
 SEEN_FROM = 0.9
 """Share of the amount that must be there at the shortest travel of the rows for the amount itself to be stated: what lies before
 that travel is an extrapolation, so otherwise the value at it is stated.
@@ -33,7 +45,7 @@ that travel is an extrapolation, so otherwise the value at it is stated.
 
 
 class LostMotion(Effect):
-    """error_um = a·d·f(s/L), a in µm, s and L in mm, f(z) = e^(-z) or 1 - tanh z; or a sum of two exponentials."""
+    """error_um = a·d·f(s/L), a in µm, s and L in mm, f(z) = e^(-z), 1 - tanh z or Dahl's; or a sum of two exponentials."""
 
     id: ClassVar[str] = "lost_motion"
     title: ClassVar[str] = "lost motion after a reversal"
@@ -47,38 +59,41 @@ class LostMotion(Effect):
     def forms(self, survey: Survey) -> tuple[Form, ...]:
         if not survey.has("since_reversal_mm", "direction"):
             return ()
-        low, high = survey.spacing_mm / 8, 2 * survey.half_span_mm
+        high = 2 * survey.half_span_mm
+        nearest_mm = survey.ranges.get("since_reversal_mm", (0.0, 0.0))[0]
+        low = min(survey.spacing_mm / 8, max(nearest_mm, SHORTEST * high))
         length = NonLinear("length_mm", low / 4, high)
         starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 12))
         second = NonLinear("second_length_mm", low / 4, high)
         pairs = tuple((a[0], b[0]) for a in starts[::3] for b in starts[::3] if b[0] > 2 * a[0])
         inputs = ("since_reversal_mm", "direction")
-        seen = {"shortest_mm": survey.ranges.get("since_reversal_mm", (0.0, 0.0))[0]}
-        short = survey.has("stroke_mm") and survey.ranges.get("stroke_mm", (np.inf,))[0] < survey.half_span_mm
-        remembered = tuple(
-            Form(self.id, name, (*inputs, "stroke_mm", "target_mm"), seen, (length,), starts)
-            for name in (REMEMBERED if short else ())
-        )
-        return (
-            Form(self.id, EXPONENTIAL, inputs, seen, (length,), starts),
-            Form(self.id, TANH, inputs, seen, (length,), starts),
-            *remembered,
-            Form(self.id, TWO_STAGE, inputs, seen, (length, second), pairs, scan=False),
-        )
+        seen = {"shortest_mm": nearest_mm}
+        forms = [Form(self.id, name, inputs, seen, (length,), starts) for name in (EXPONENTIAL, TANH)]
+        forms.append(Form(self.id, TWO_STAGE, inputs, seen, (length, second), pairs, scan=False))
+        if survey.has("stroke_mm") and survey.ranges.get("stroke_mm", (np.inf,))[0] < survey.half_span_mm:
+            known = (*inputs, "stroke_mm", "target_mm")
+            exponent = NonLinear("exponent", LEAST_EXPONENT, MOST_EXPONENT, logarithmic=False)
+            both = tuple((start[0], n) for start in starts[::2] for n in EXPONENTS)
+            for name, kind in REMEMBERED.items():
+                if kind == DAHL:
+                    forms.append(Form(self.id, name, known, seen, (length, exponent), both, scan=False))
+                else:
+                    forms.append(Form(self.id, name, known, seen, (length,), starts))
+        return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         s, d = columns["since_reversal_mm"], columns["direction"]
         if form.name in (EXPONENTIAL, TANH):
-            return np.asarray(d * _left(form.name, s / theta[0]))[:, None]
+            return np.asarray(d * _left(form.name, s, theta))[:, None]
         if form.name in REMEMBERED:
             after_long, branch = REMEMBERED[form.name], with_branches(columns)
             sign, left = 1.0, np.zeros(np.shape(s))
             for name in BRANCH:
-                left, sign = left + sign * _left(after_long, branch[name] / theta[0]), -sign
+                left, sign = left + sign * _left(after_long, branch[name], theta), -sign
             return np.asarray(d * left)[:, None]
         if form.name in ONE_STROKE:
             after_long, stroke = ONE_STROKE[form.name], columns["stroke_mm"]
-            left = _left(after_long, s / theta[0]) - _left(after_long, stroke / theta[0])
+            left = _left(after_long, s, theta) - _left(after_long, stroke, theta)
             return np.asarray(d * np.maximum(left, 0.0))[:, None]
         if form.name == TWO_STAGE:
             return np.column_stack([d * np.exp(-s / theta[0]), d * np.exp(-s / theta[1])])
@@ -93,6 +108,8 @@ class LostMotion(Effect):
         found |= term.positive(0, "length_mm")
         if term.form.name == TWO_STAGE:
             found |= term.positive(1, "second_length_mm")
+        elif REMEMBERED.get(term.form.name) == DAHL:
+            found["exponent"] = term.nonlinear(1)
         return found
 
     def explain(self, term: Term) -> str:
@@ -104,9 +121,13 @@ class LostMotion(Effect):
         )
 
 
-def _left(form: str, z: Floats) -> Floats:
-    """Share of the lost motion that is left after a travel of z lengths, shape of z."""
-    return np.asarray(np.exp(-z) if form == EXPONENTIAL else 1.0 - np.tanh(z), dtype=np.float64)
+def _left(form: str, s: Floats, theta: Sequence[float]) -> Floats:
+    """Share of the lost motion that is left after a travel s (mm), shape of s; theta: its length, mm, and Dahl's exponent."""
+    z = s / theta[0]
+    if form == DAHL and abs(theta[1] - 1.0) > NEARLY_ONE:
+        bend = theta[1] - 1.0
+        return np.asarray(np.maximum(1.0 + bend * z, ENDED) ** (-1.0 / bend), dtype=np.float64)
+    return np.asarray(1.0 - np.tanh(z) if form == TANH else np.exp(-z), dtype=np.float64)
 
 
 def shown_amount(term: Term) -> tuple[Estimate, float]:

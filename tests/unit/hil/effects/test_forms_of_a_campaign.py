@@ -202,9 +202,11 @@ def test_an_arm_is_tried_on_both_sides() -> None:
     assert [value for (value,) in arm.starts] == [-400.0, -150.0, -60.0, 60.0, 150.0, 400.0]
 
 
-def test_lengths_of_lost_motion_from_an_eighth_of_the_spacing_to_the_travel() -> None:
-    """20 / 8 = 2.5 mm, a quarter of that as the bound; 2 · 100 = 200 mm, half of that as the longest start."""
-    found = forms("lost_motion")
+def test_lengths_of_lost_motion_from_the_nearest_row_to_the_travel() -> None:
+    """Where no row is nearer to a reversal than 20 / 8 = 2.5 mm from there, a quarter of that as the bound; 2 · 100 = 200 mm, half of
+    that as the longest start. A row at 0.5 mm shows shorter ones, and rows on the reversal itself those of a thousandth of the travel.
+    """
+    found = forms("lost_motion", campaign(ranges={"since_reversal_mm": (6.0, 180.0)}))
     single, pair = found["exponential", "since_reversal_mm"], found["two lengths", "since_reversal_mm"]
     assert bounds(single.nonlinear[0]) == (0.625, 200.0, True)
     assert [bounds(p) for p in pair.nonlinear] == [(0.625, 200.0, True)] * 2
@@ -214,6 +216,19 @@ def test_lengths_of_lost_motion_from_an_eighth_of_the_spacing_to_the_travel() ->
     assert np.diff(np.log(starts)) == pytest.approx([math.log(40.0) / 11] * 11)
     every_third = starts[::3]  # each 2.73 times the one before: more than twice
     assert pair.starts == tuple((a, b) for i, a in enumerate(every_third) for b in every_third[i + 1 :])
+    for nearest_mm, least_mm in ((0.5, 0.5), (0.0, 0.2)):
+        near = forms("lost_motion", campaign(ranges={"since_reversal_mm": (nearest_mm, 180.0)}))
+        assert near["exponential", "since_reversal_mm"].starts[0] == pytest.approx((least_mm,))
+
+
+def test_shapes_of_lost_motion_that_remembers_short_strokes() -> None:
+    short = campaign(ranges={"since_reversal_mm": (6.0, 180.0), "stroke_mm": (6.0, 180.0)})
+    names = {form.name: form.scan for form in forms("lost_motion", short).values()}
+    remembered = {f"{name}, strokes remembered" for name in ("exponential", "tanh", "Dahl")}
+    assert names.keys() - {"exponential", "tanh", "two lengths"} == remembered
+    assert not names["Dahl, strokes remembered"], "its exponent is free: only where a simpler shape was found"
+    long = campaign(ranges={"since_reversal_mm": (6.0, 180.0), "stroke_mm": (150.0, 180.0)})
+    assert not remembered & {name for name, _ in forms("lost_motion", long)}
 
 
 def test_a_knee_about_the_usual_feed() -> None:

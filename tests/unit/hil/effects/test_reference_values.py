@@ -232,6 +232,24 @@ def test_lost_motion_fades_with_the_travel_since_the_reversal() -> None:
     assert values(single.parameters) == {"amount_um": (5.0, 0.1), "length_mm": (3.0, 0.2)}
 
 
+@pytest.mark.parametrize("exponent", [-0.5, 0.5, 1.0, 2.0, 3.0])
+def test_lost_motion_of_dahls_model_solves_its_equation(exponent: float) -> None:
+    """dF/ds = (1 - F)^n / L from F = 0, in small steps up to where it ends or three lengths; the strokes before were long."""
+    length, steps = 4.0, 30_000
+    step, left, solved = 3.0 * length / steps, 1.0, []
+    for _ in range(steps):
+        half = max(left - 0.5 * step / length * left**exponent, 0.0) if left > 1e-3 else 0.0
+        left = max(left - step / length * half**exponent, 0.0) if half > 1e-3 else 0.0
+        solved.append(left)
+    travel = step * np.arange(1, steps + 1)[::500]
+    long = dict.fromkeys(BRANCH[1:], np.full(len(travel), 1e6))
+    columns = {"since_reversal_mm": travel, "direction": np.ones(len(travel)), BRANCH[0]: travel, **long}
+    shape = EFFECTS["lost_motion"].basis(
+        Form("lost_motion", "Dahl, strokes remembered", ()), (length, exponent), columns
+    )[:, 0]
+    assert shape == pytest.approx(solved[::500], abs=0.003)
+
+
 def test_short_strokes_are_remembered_as_a_stack_of_elements_that_stick_and_slip_does() -> None:
     """Elements that follow the path elastically and slip at ± half their widths, with weights whose sum rises as 1 - e^(-s/3)."""
     length, edges = 3.0, np.linspace(0.0, 40.0, 4001)
@@ -318,6 +336,8 @@ NESTED = [UP, (20.0, -1.0, 80.0, 100.0), (40.0, 1.0, 20.0, 80.0)]
         ([*NESTED, (35.0, 1.0, 5.0, 10.0)], [5.0, 10.0, 20.0, 80.0]),
         # back from 100 like the second row, but after a stroke from -30: not the one before, so nothing else is known
         ([UP, (20.0, -1.0, 80.0, 130.0), (40.0, 1.0, 20.0, 80.0)], [20.0, 80.0, 130.0, 1e6]),
+        # 6 mm back and on again, then 5 mm on, 11 back and 6 on: twice at one place from one reversal, and not the same way
+        ([UP, (100.0, 1.0, 6.0, 6.0), (100.0, 1.0, 6.0, 11.0)], [6.0, 11.0, 105.0, 1e6]),
         # past 70, where that stroke of 30 began: nothing is remembered any more
         ([(100.0, 1.0, 50.0, 1e6), (20.0, -1.0, 80.0, 30.0)], [1e6] * 4),
     ],
