@@ -184,6 +184,12 @@ class Policy:
     beaten: float = _number(
         3.0, LOG, "by which a smooth function of other columns must exceed an effect to take its place", "20 to 1"
     )
+    opposed: float = _number(
+        0.3,
+        SHARE,
+        "of each of two effects that their sum may be below, when one is there to undo the other",
+        "500 machines without sensors: 4 pairs of findings are below 0.2, all of one cause",
+    )
     simpler: float = _number(1.0, LOG, "that a pair of columns must have beyond one alone", "set by hand")
     as_good: float = _number(3.0, LOG, "below the best within which a noise model is kept", "an earlier trial; 20 to 1")
     most_uneven: float = _number(

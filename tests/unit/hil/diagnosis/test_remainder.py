@@ -568,6 +568,19 @@ def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_cour
     assert all(finding.rms_std_um <= finding.rms_um for finding in said.findings)
 
 
+def test_of_two_effects_that_undo_each_other_one_goes() -> None:
+    """An offset that follows a temperature nobody logged: a drift of 520 µm beside a growth of as much about a far point, once."""
+    drawn = draw("missing", 804_137)
+    rows = Records.of(drawn.fit.records)
+    whole_um = float(np.std(drawn.fit.error_um))
+    said = diagnose(rows)
+    assert [finding.effect for finding in said.findings] == ["thermal_drift"]
+    assert said.findings[0].rms_um == pytest.approx(float(np.std(drawn.fit.cause_um[0])), rel=0.25)
+    assert any("thermal_expansion does little but undo" in note for note in said.notes)
+    with in_force(replace(Policy(), opposed=0.0)):
+        assert max(finding.rms_um for finding in diagnose(rows).findings) > 20.0 * whole_um
+
+
 def test_what_carries_the_rest_is_said_in_one_line() -> None:
     carrier = Carrier(("temp_bed_c", "target_mm"), Estimate(1.25, 0.1), 1e-6, {"temp_bed_c": ("air_temp_c", "time_s")})
     assert str(carrier) == "temp_bed_c (or equivalent: air_temp_c, time_s) × target_mm, 1.25 ± 0.2 µm RMS", "± is k = 2"
