@@ -56,6 +56,9 @@ from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
 
+UNNAMED = ""
+"""Stands for what is left without a name, among the names of effects."""
+
 
 def diagnose(
     records: Records, declared: Model | None = None, *, effects: Sequence[Effect] = ALL, seed: int = 0
@@ -76,8 +79,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     campaign = problem.campaign
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
-    chosen, opposed = without_opposed(chosen)
-    chosen, few = without_resembling(chosen)
+    chosen, few, opposed = without_resembling(chosen)
     left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
     required: set[str] = set()
     if left and dropped:
@@ -86,7 +88,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
-    chosen = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
+    chosen, more = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
+    opposed |= more
     unexplained = unexplained or bool(left)
     fit, noise = smooth_fit(chosen.last, chosen.kept)
     chosen = replace(chosen, fit=fit)
@@ -147,7 +150,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         notes=(
             *_notes(records, campaign, dropped, after, alone),
             *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
-            *(f"{name} does little but undo another effect in these rows: not taken" for name in sorted(opposed)),
+            *(f"{name} does little but undo another course in these rows: not taken" for name in sorted(opposed)),
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *courses.values(),
@@ -298,44 +301,44 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
 
 
-def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str]]:
-    """Removes the effects that only resemble what the rows hold: a few rows far off, whose effects it returns too, or a function of
-    other columns.
+def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str], set[str]]:
+    """Removes the effects that only resemble what the rows hold: of two that undo each other one, a few rows far off, or a function
+    of other columns. Also returns the effects of a few rows, and those that undid another one.
     """
+    chosen, opposed = without_opposed(chosen)
     few = on_few_rows(chosen)
     chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
     lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
-    return (refitted_without(chosen, lost, chosen.last.noise) if lost else chosen), few
+    return (refitted_without(chosen, lost, chosen.last.noise) if lost else chosen), few, opposed
 
 
 def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str]]:
-    """Removes the effects that only undo another one, which it returns too: of two whose courses beside the table are each other's
-    opposite but for a small part, the one that the rows require less.
+    """Removes the effects that only undo another one, or what was left without a name, which it returns too: of two whose courses
+    beside the table are each other's opposite but for a small part, the one that the rows require less.
 
     Their difference is then as large as one likes, and no other campaign has it: 520 and -520 µm were fitted to errors of 1 µm.
     """
     last, opposed = chosen.last, set[str]()
-    columns, projection = last.searcher.linear.campaign.columns, _of_equal_rows(chosen)
+    columns = last.searcher.linear.campaign.columns
     while True:
-        courses: dict[str, Floats] = {}
+        courses = {UNNAMED: chosen.fit.nuisance_um}
         for term in chosen.fit.found:
             courses[term.effect.id] = courses.get(term.effect.id, 0.0) + term.error_um(columns)
-        size_um = {name: _beside_table_um(projection, course_um) for name, course_um in courses.items()}
-        cancelled = {
-            pair: left_um
-            for pair in itertools.combinations(courses, 2)
-            if (left_um := _beside_table_um(projection, courses[pair[0]] + courses[pair[1]]))
-            < policy().opposed * min(size_um[name] for name in pair)
+        beside = {name: _beside_table(chosen, course_um) for name, course_um in courses.items()}
+        size_um = {name: float(np.std(course_um)) for name, course_um in beside.items()}
+        left = {
+            (one, other): float(np.std(beside[one] + beside[other])) / max(min(size_um[one], size_um[other]), 1e-300)
+            for one, other in itertools.combinations(beside, 2)
         }
-        if not cancelled:
+        pair = min(left, key=left.__getitem__, default=())
+        if not pair or left[pair] >= policy().opposed:
             return chosen, opposed
-        both = {
-            name: [choice for choice in chosen.kept if choice.effect.id != name]
-            for name in min(cancelled, key=cancelled.__getitem__)
+        without = {
+            name: [choice for choice in chosen.kept if choice.effect.id != name] for name in pair if name != UNNAMED
         }
-        less = max(both, key=lambda name: last.searcher.evidence(both[name], last.noise))
+        less = max(without, key=lambda name: last.searcher.evidence(without[name], last.noise))
         opposed.add(less)
-        chosen = replace(chosen, fit=last.searcher.fit(both[less], last.noise))
+        chosen = replace(chosen, fit=last.searcher.fit(without[less], last.noise))
 
 
 def required_all_the_same(
@@ -359,10 +362,12 @@ def required_all_the_same(
     return both, beside, back
 
 
-def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
-    """The fit again beside what is left, without the terms that the records do not require beside that; the same where nothing is."""
+def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> tuple[Chosen, set[str]]:
+    """The fit again beside what is left, without the terms that the records do not require beside that, or that only undo it, which
+    it returns too; the same where nothing is left.
+    """
     if not left:
-        return chosen
+        return chosen, set()
     last = chosen.last
     for one in left:
         last.searcher.add_nuisance(one.extra)
@@ -371,7 +376,7 @@ def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
     noise = last.searcher.fit_noise(kept, last.noise)
     last.searcher.limit_outliers(kept, noise)
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    return settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
+    return without_opposed(settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise))))
 
 
 def _is_wander(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:

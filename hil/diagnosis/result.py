@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -20,6 +21,9 @@ Floats = NDArray[np.float64]
 
 OUTSIDE = "unexplained"
 """Name among the rivals for a dependence on other columns that no effect of the catalogue has."""
+
+STRENGTH = re.compile(r"_(um|ppm)(_|$)")
+"""In the name of a parameter that says how strong an effect is, beside its first one."""
 
 
 def pooled(name: str, parts: Sequence[tuple[Estimate, float]]) -> Estimate:
@@ -80,16 +84,16 @@ class Finding:
     @property
     def explanation(self) -> str:
         """The cause in a sentence with figures."""
-        if not self.summed:
-            told = " ".join(term.effect.explain(term) for term in self.terms)
-            either = " or ".join(f"{term.needs[0]} ({share:.2f})" for term, share in self.follows)
-            return f"{told} These rows do not tell which it follows: {either}." if either else told
-        size = Estimate(self.rms_um, self.rms_std_um)
-        return (
-            f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)} that no single form of the catalogue"
-            f" has, {size} µm RMS over these rows and {self.peak_um:.3g} µm at most; of its {len(self.terms)} parts only the"
-            " sum is determined."
-        )
+        course = f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)}"
+        size = f"{Estimate(self.rms_um, self.rms_std_um)} µm RMS over these rows and {self.peak_um:.3g} µm at most"
+        if self.summed:
+            only = f"of its {len(self.terms)} parts only the sum is determined"
+            return f"{course} that no single form of the catalogue has, {size}; {only}."
+        told = " ".join(term.effect.explain(term) for term in self.terms)
+        if self.term.parameters and not self.parameters:
+            told = f"{course}, {size}; these rows do not determine its coefficients."
+        either = " or ".join(f"{term.needs[0]} ({share:.2f})" for term, share in self.follows)
+        return f"{told} These rows do not tell which it follows: {either}." if either else told
 
     @property
     def effect(self) -> str:
@@ -114,13 +118,15 @@ class Finding:
     @property
     def parameters(self) -> dict[str, Estimate]:
         """The effect's parameters by name, as far as the rows determine them; where they do not tell which column it follows, with
-        the difference between those columns in the uncertainty.
+        the difference between those columns in the uncertainty. None where each that says how strong it is may be 0.
         """
         if self.summed:
             return {"rms_um": Estimate(self.rms_um, self.rms_std_um)}
         own = self.term.parameters
         every = [(term.parameters, share) for term, share in self.follows] or [(own, 1.0)]
-        return {name: pooled(name, [(known[name], share) for known, share in every if name in known]) for name in own}
+        found = {name: pooled(name, [(known[name], share) for known, share in every if name in known]) for name in own}
+        strengths = [one for i, (name, one) in enumerate(found.items()) if i == 0 or STRENGTH.search(name)]
+        return {} if all(abs(one.value) < 2.0 * one.std for one in strengths) else found
 
 
 @dataclass(frozen=True)

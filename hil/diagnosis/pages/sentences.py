@@ -43,7 +43,7 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
     """The finding in one sentence, with figures and units."""
     form = re.sub(r"\W+", "_", finding.form)
     known = {name for name, _, _ in finding.parameters}
-    effect = "summed" if known == {"rms_um"} else finding.effect
+    effect = "summed" if known == {"rms_um"} else finding.effect if known else "undetermined"
     simpler = form.removesuffix("_about_a_fixed_point"), form.removeprefix("flat_")
     keys = [f"explain.{effect}.{last}" for last in (form, *simpler, "any")]
     inputs = [t.said(name) for name in finding.inputs]
