@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -98,7 +99,7 @@ def test_a_finding_that_is_not_determined_is_said_in_every_language_too() -> Non
         ("most_length_mm", 22.2, 0.0),
     )
     inputs = ("since_reversal_mm", "direction")
-    for parameters, figures in ((vague, ("84", "22")), ((("rms_um", 1.46, 0.03),), ("46",))):
+    for parameters, figures in ((vague, ("84", "22")), ((("rms_um", 1.46, 0.03),), ("46",)), ((), ("46",))):
         finding = ShownFinding("lost_motion", 0.9, "compensate", "English.", parameters, (), None, form, inputs, 1.46)
         for language in LANGUAGES:
             t = Texts(language)
@@ -109,6 +110,22 @@ def test_a_finding_that_is_not_determined_is_said_in_every_language_too() -> Non
             assert not any("_" in parameter(t, name) for name, _, _ in parameters)
             if language == "zh":
                 assert LATIN.findall(said) == []
+
+
+def test_a_strength_that_may_be_zero_is_not_stated_and_the_size_is() -> None:
+    """Growth about a point that the rows do not show, 0.55 ± 14 ppm once; its lag says nothing of how strong it is."""
+    effect = next(one for one in ALL if one.id == "thermal_expansion")
+    given = columns()
+    form = next(one for one in effect.forms(survey_of(given)) if one.name == "lagged temperature, about a fixed point")
+    fitted = term(effect, form, given)
+    wide = replace(fitted, covariance=tuple(map(tuple, np.diag([9.0, 9.0, 0.01]))))
+    assert "coefficient_ppm_per_k" in Finding(fitted, 0.9, rms_um=1.46, rms_std_um=0.1).parameters
+    vague = Finding(wide, 0.9, rms_um=1.46, rms_std_um=0.1, peak_um=4.0)
+    assert vague.parameters == {}
+    assert (
+        "1.46 ± 0.2 µm RMS over these rows and 4 µm at most; these rows do not determine its coefficients"
+        in vague.explanation
+    )
 
 
 def test_a_load_on_an_axis_whose_stiff_point_is_not_known_is_said_in_every_language() -> None:
