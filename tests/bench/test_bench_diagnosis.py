@@ -1,4 +1,4 @@
-"""Time and memory of the diagnosis: an ordinary campaign with the start of the program, four sizes, and a million rows.
+"""Time and memory of the diagnosis: an ordinary campaign with the start of the program, three sizes, and a million rows.
 
 Each in a process of its own. It computes in one thread, so its processor time is what it takes on a quiet host; the bounds leave room
 for a busy one.
