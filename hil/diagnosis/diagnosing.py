@@ -88,8 +88,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
-    chosen, more = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
-    opposed |= more
+    chosen = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
     unexplained = unexplained or bool(left)
     fit, noise = smooth_fit(chosen.last, chosen.kept)
     chosen = replace(chosen, fit=fit)
@@ -302,8 +301,8 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
 
 
 def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str], set[str]]:
-    """Removes the effects that only resemble what the rows hold: of two that undo each other one, a few rows far off, or a function
-    of other columns. Also returns the effects of a few rows, and those that undid another one.
+    """Removes the effects that only resemble what the rows hold: those that undo something, those of a few rows far off, and those
+    that a function of other columns beats. Returns the names of the second kind and of the first too.
     """
     chosen, opposed = without_opposed(chosen)
     few = on_few_rows(chosen)
@@ -313,10 +312,11 @@ def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str], set[str]]:
 
 
 def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str]]:
-    """Removes the effects that only undo another one, or what was left without a name, which it returns too: of two whose courses
-    beside the table are each other's opposite but for a small part, the one that the rows require less.
+    """Removes the effects that only undo another one, or what was found without a name; returns their names too.
 
-    Their difference is then as large as one likes, and no other campaign has it: 520 and -520 µm were fitted to errors of 1 µm.
+    Two courses beside the table, both larger than the noise, are each other's opposite but for a small part: their difference is then
+    as large as one likes, and no other campaign has it. Of two effects the one that the rows require less goes. (520 and -520 µm were
+    fitted to errors of 1 µm.)
     """
     last, opposed = chosen.last, set[str]()
     columns = last.searcher.linear.campaign.columns
@@ -326,9 +326,10 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str]]:
             courses[term.effect.id] = courses.get(term.effect.id, 0.0) + term.error_um(columns)
         beside = {name: _beside_table(chosen, course_um) for name, course_um in courses.items()}
         size_um = {name: float(np.std(course_um)) for name, course_um in beside.items()}
+        large = [name for name in beside if size_um[name] > chosen.fit.white_um]
         left = {
-            (one, other): float(np.std(beside[one] + beside[other])) / max(min(size_um[one], size_um[other]), 1e-300)
-            for one, other in itertools.combinations(beside, 2)
+            (one, other): float(np.std(beside[one] + beside[other])) / min(size_um[one], size_um[other])
+            for one, other in itertools.combinations(large, 2)
         }
         pair = min(left, key=left.__getitem__, default=())
         if not pair or left[pair] >= policy().opposed:
@@ -362,12 +363,10 @@ def required_all_the_same(
     return both, beside, back
 
 
-def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> tuple[Chosen, set[str]]:
-    """The fit again beside what is left, without the terms that the records do not require beside that, or that only undo it, which
-    it returns too; the same where nothing is left.
-    """
+def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
+    """The fit again beside what is left, without the terms that the records do not require beside that; the same where nothing is."""
     if not left:
-        return chosen, set()
+        return chosen
     last = chosen.last
     for one in left:
         last.searcher.add_nuisance(one.extra)
@@ -376,7 +375,7 @@ def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> tuple[Chosen, s
     noise = last.searcher.fit_noise(kept, last.noise)
     last.searcher.limit_outliers(kept, noise)
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    return without_opposed(settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise))))
+    return settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
 
 
 def _is_wander(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
@@ -472,8 +471,20 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tu
         rms, peak = float(np.std(of_rows)), float(np.max(np.abs(of_rows - np.mean(of_rows))))
         std = rms * _unsure_of_size(chosen, effect.id, of_rows) if more else rms_of_term(term, columns).std
         follows = () if more else columns_as_good(chosen, term, noise)
-        findings.append(Finding(term, confidence, tuple(rivals), rms, std, peak, more, effect.id in free, follows))
+        vague = not more and _is_vague(term, rms, columns)
+        findings.append(
+            Finding(term, confidence, tuple(rivals), rms, std, peak, more, effect.id in free, follows, vague)
+        )
     return in_order(findings)
+
+
+def _is_vague(term: Term, rms_um: float, columns: Mapping[str, Floats]) -> bool:
+    """Whether the rows determine the course of an effect, of this RMS, and none of its coefficients: the standard uncertainty of each
+    alone would make a larger one.
+    """
+    basis = term.effect.basis(term.form, term.theta, columns)
+    std = np.sqrt(np.maximum(np.diag(np.array(term.covariance))[: basis.shape[1]], 0.0))
+    return bool(np.all(std * np.std(basis, axis=0) > rms_um))
 
 
 def in_order(findings: Sequence[Finding]) -> tuple[Finding, ...]:

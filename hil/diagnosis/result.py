@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -22,15 +21,16 @@ Floats = NDArray[np.float64]
 OUTSIDE = "unexplained"
 """Name among the rivals for a dependence on other columns that no effect of the catalogue has."""
 
-STRENGTH = re.compile(r"_(um|ppm)(_|$)")
-"""In the name of a parameter that says how strong an effect is, beside its first one."""
+
+BOUNDS = ("least_", "most_")
+"""How the names of parameters begin of which only a bound is known."""
 
 
 def pooled(name: str, parts: Sequence[tuple[Estimate, float]]) -> Estimate:
     """Mean and standard uncertainty of estimates with their shares: the spread between them counts (law of total variance). Of bounds
     ("least_", "most_") the outermost.
     """
-    if name.startswith(("least_", "most_")):
+    if name.startswith(BOUNDS):
         return (min if name.startswith("least_") else max)((one for one, _ in parts), key=lambda one: one.value)
     whole = sum(share for _, share in parts)
     mean = sum(one.value * share for one, share in parts) / whole
@@ -59,6 +59,7 @@ class Finding:
     more: further terms of the same effect
     follows: the same effect by other columns that fit nearly as well, each with its share, and the share of the column of `term`
     beside_any_table: it was found beside a table fitted from the rows; else only because the declared table lacks it
+    vague: the rows determine its course and none of its coefficients
     """
 
     term: Term
@@ -70,6 +71,7 @@ class Finding:
     more: tuple[Term, ...] = ()
     beside_any_table: bool = True
     follows: tuple[tuple[Term, float], ...] = ()
+    vague: bool = False
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -90,7 +92,7 @@ class Finding:
             only = f"of its {len(self.terms)} parts only the sum is determined"
             return f"{course} that no single form of the catalogue has, {size}; {only}."
         told = " ".join(term.effect.explain(term) for term in self.terms)
-        if self.term.parameters and not self.parameters:
+        if self.is_unstated:
             told = f"{course}, {size}; these rows do not determine its coefficients."
         either = " or ".join(f"{term.needs[0]} ({share:.2f})" for term, share in self.follows)
         return f"{told} These rows do not tell which it follows: {either}." if either else told
@@ -118,15 +120,25 @@ class Finding:
     @property
     def parameters(self) -> dict[str, Estimate]:
         """The effect's parameters by name, as far as the rows determine them; where they do not tell which column it follows, with
-        the difference between those columns in the uncertainty. None where each that says how strong it is may be 0.
+        the difference between those columns in the uncertainty. Bounds alone where no coefficient is determined.
         """
         if self.summed:
             return {"rms_um": Estimate(self.rms_um, self.rms_std_um)}
+        return {name: one for name, one in self._fitted.items() if name.startswith(BOUNDS) or not self.is_unstated}
+
+    @property
+    def is_unstated(self) -> bool:
+        """Whether no coefficient is determined and the first parameter that they make may be 0: it is not stated then."""
+        of_theta = tuple(one.name for one in self.term.form.nonlinear)
+        made = (one for name, one in self._fitted.items() if not name.startswith((*BOUNDS, *of_theta)))
+        first = next(made, None)
+        return self.vague and first is not None and abs(first.value) < 2.0 * first.std
+
+    @property
+    def _fitted(self) -> dict[str, Estimate]:
         own = self.term.parameters
         every = [(term.parameters, share) for term, share in self.follows] or [(own, 1.0)]
-        found = {name: pooled(name, [(known[name], share) for known, share in every if name in known]) for name in own}
-        strengths = [one for i, (name, one) in enumerate(found.items()) if i == 0 or STRENGTH.search(name)]
-        return {} if all(abs(one.value) < 2.0 * one.std for one in strengths) else found
+        return {name: pooled(name, [(known[name], share) for known, share in every if name in known]) for name in own}
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,8 @@ error = amount · d · f(s / length), f exponential or 1 - tanh, s = `since_reve
 large s belongs to the table. Elements that stick and slip at different forces (Prandtl, Masing) remember strokes that were too short
 to wind them up: error = amount · d · (f(s / length) - f(S₁ / length) + f(S₂ / length) - …), s the travel since the last reversal that
 is remembered, S₁, S₂ … the strokes before it (`hil.effects.history.BRANCH`); where a loop closes it is the branch from before.
-Where such strokes are among the rows, f may also be that of Dahl's friction model, whose force rises as dF/ds = (1 - F)^n: n = 1 is
-the exponential, n = 1/2 a parabola that ends, n = 2 a hyperbola (P. R. Dahl, AIAA Journal 14, 1976).
+Where such strokes are among the rows, f may also be that of Dahl's friction model, whose force rises as dF/ds = (1 - F)^n / L: n = 1
+is the exponential, n = 1/2 a parabola that ends, n = 2 a hyperbola (P. R. Dahl, AIAA Journal 14, 1976).
 (A controller's two-stage running form is in `hil.lost_motion`, fitted to dense reversals.)
 """
 
@@ -28,16 +28,22 @@ DAHL = "Dahl"
 REMEMBERED = {f"{name}, strokes remembered": name for name in (EXPONENTIAL, TANH, DAHL)}
 """Forms with the strokes before, and the form that each has after a long one."""
 LEAST_EXPONENT, MOST_EXPONENT = -1.0, 3.0
-"""Of Dahl's model: below 0 what is left ends abruptly, as after a gap; above 2 it has a long tail."""
+"""Of Dahl's model: below 0 what is left ends abruptly, as after a gap, which elements that slip one after the other never make;
+above 2 it has a long tail.
+"""
 EXPONENTS = (-0.5, 0.5, 2.0, 3.0)
 SHORTEST = 1e-3
-"""Least length that is searched, in travels, where rows lie closer to a reversal."""
+"""Least length that a search starts with, in travels, where rows lie closer to a reversal."""
 ONE_STROKE = {"exponential, short strokes remembered": EXPONENTIAL, "tanh, short strokes remembered": TANH}
 """Of models stored before: the last stroke alone is remembered."""
-NEARLY_ONE = 1e-3
-"""Difference of Dahl's exponent from 1 within which it is the exponential."""
+NEARLY_ONE = 1e-6
+"""Difference of Dahl's exponent from 1 within which the first term of a series counts."""
 ENDED = 1e-12
 """What stands for 0 in a power, where the lost motion has ended."""
+MOST_BEYOND = 3.0
+"""Times what the row nearest to a reversal has, that an extrapolation to it may reach. Of 87 machines of the study one was wrong by
+190 µm without a limit.
+"""
 SEEN_FROM = 0.9
 """Share of the amount that must be there at the shortest travel of the rows for the amount itself to be stated: what lies before
 that travel is an extrapolation, so otherwise the value at it is stated.
@@ -61,7 +67,9 @@ class LostMotion(Effect):
             return ()
         high = 2 * survey.half_span_mm
         nearest_mm = survey.ranges.get("since_reversal_mm", (0.0, 0.0))[0]
-        low = min(survey.spacing_mm / 8, max(nearest_mm, SHORTEST * high))
+        low = survey.spacing_mm / 8
+        if nearest_mm > 0.0:  # rows on the reversal itself show no length
+            low = min(low, max(nearest_mm, SHORTEST * high))
         length = NonLinear("length_mm", low / 4, high)
         starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 12))
         second = NonLinear("second_length_mm", low / 4, high)
@@ -83,12 +91,13 @@ class LostMotion(Effect):
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         s, d = columns["since_reversal_mm"], columns["direction"]
+        nearest_mm = form.constants.get("shortest_mm", 0.0)
         if form.name in (EXPONENTIAL, TANH):
-            return np.asarray(d * _left(form.name, s, theta))[:, None]
+            return np.asarray(d * _seen(form.name, s, theta, nearest_mm))[:, None]
         if form.name in REMEMBERED:
             after_long, branch = REMEMBERED[form.name], with_branches(columns)
-            sign, left = 1.0, np.zeros(np.shape(s))
-            for name in BRANCH:
+            left, sign = _seen(after_long, branch[BRANCH[0]], theta, nearest_mm), -1.0
+            for name in BRANCH[1:]:
                 left, sign = left + sign * _left(after_long, branch[name], theta), -sign
             return np.asarray(d * left)[:, None]
         if form.name in ONE_STROKE:
@@ -96,7 +105,7 @@ class LostMotion(Effect):
             left = _left(after_long, s, theta) - _left(after_long, stroke, theta)
             return np.asarray(d * np.maximum(left, 0.0))[:, None]
         if form.name == TWO_STAGE:
-            return np.column_stack([d * np.exp(-s / theta[0]), d * np.exp(-s / theta[1])])
+            return np.column_stack([d * _seen(EXPONENTIAL, s, (length,), nearest_mm) for length in theta])
         raise KeyError(form.name)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
@@ -124,10 +133,20 @@ class LostMotion(Effect):
 def _left(form: str, s: Floats, theta: Sequence[float]) -> Floats:
     """Share of the lost motion that is left after a travel s (mm), shape of s; theta: its length, mm, and Dahl's exponent."""
     z = s / theta[0]
-    if form == DAHL and abs(theta[1] - 1.0) > NEARLY_ONE:
+    if form == TANH:
+        return np.asarray(1.0 - np.tanh(z))
+    if form == DAHL:
         bend = theta[1] - 1.0
-        return np.asarray(np.maximum(1.0 + bend * z, ENDED) ** (-1.0 / bend), dtype=np.float64)
-    return np.asarray(1.0 - np.tanh(z) if form == TANH else np.exp(-z), dtype=np.float64)
+        z = z * (1.0 - 0.5 * bend * z) if abs(bend) < NEARLY_ONE else np.log(np.maximum(1.0 + bend * z, ENDED)) / bend
+    return np.asarray(np.exp(-z))
+
+
+def _seen(form: str, s: Floats, theta: Sequence[float], nearest_mm: float) -> Floats:
+    """The same, nearer to the reversal than any row that was fitted at most MOST_BEYOND times what the nearest row has: a length that
+    such rows do not show would make 190 µm of 4.
+    """
+    most = MOST_BEYOND * _left(form, np.array([nearest_mm]), theta)
+    return np.asarray(np.minimum(_left(form, s, theta), most))
 
 
 def shown_amount(term: Term) -> tuple[Estimate, float]:

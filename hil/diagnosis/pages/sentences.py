@@ -43,9 +43,12 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
     """The finding in one sentence, with figures and units."""
     form = re.sub(r"\W+", "_", finding.form)
     known = {name for name, _, _ in finding.parameters}
-    effect = "summed" if known == {"rms_um"} else finding.effect if known else "undetermined"
-    simpler = form.removesuffix("_about_a_fixed_point"), form.removeprefix("flat_")
-    keys = [f"explain.{effect}.{last}" for last in (form, *simpler, "any")]
+    ends = form, form.removesuffix("_about_a_fixed_point"), form.removeprefix("flat_"), "any"
+    keys = [f"explain.{finding.effect}.{end}" for end in ends]
+    if known == {"rms_um"}:
+        keys = ["explain.summed.any"]
+    elif all(BOUND.match(name) for name in known) and any(key in t for key in keys):
+        keys = ["explain.undetermined.any"]
     inputs = [t.said(name) for name in finding.inputs]
     places: dict[str, str] = {"input": inputs[0] if inputs else "–", "inputs": " · ".join(inputs)}
     places["rms"] = t.estimate(finding.rms_um, None, "µm")

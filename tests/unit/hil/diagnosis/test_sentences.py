@@ -112,20 +112,31 @@ def test_a_finding_that_is_not_determined_is_said_in_every_language_too() -> Non
                 assert LATIN.findall(said) == []
 
 
-def test_a_strength_that_may_be_zero_is_not_stated_and_the_size_is() -> None:
-    """Growth about a point that the rows do not show, 0.55 ± 14 ppm once; its lag says nothing of how strong it is."""
+def test_what_no_coefficient_tells_is_not_stated_and_the_size_is() -> None:
+    """Growth about a point that the rows do not show, 0.55 ± 14 ppm once, of 1.75 µm; what may be 0 and is known well is stated."""
     effect = next(one for one in ALL if one.id == "thermal_expansion")
     given = columns()
     form = next(one for one in effect.forms(survey_of(given)) if one.name == "lagged temperature, about a fixed point")
-    fitted = term(effect, form, given)
-    wide = replace(fitted, covariance=tuple(map(tuple, np.diag([9.0, 9.0, 0.01]))))
-    assert "coefficient_ppm_per_k" in Finding(fitted, 0.9, rms_um=1.46, rms_std_um=0.1).parameters
-    vague = Finding(wide, 0.9, rms_um=1.46, rms_std_um=0.1, peak_um=4.0)
-    assert vague.parameters == {}
-    assert (
-        "1.46 ± 0.2 µm RMS over these rows and 4 µm at most; these rows do not determine its coefficients"
-        in vague.explanation
-    )
+    fitted = replace(term(effect, form, given), covariance=tuple(map(tuple, np.diag([9.0, 9.0, 0.01]))))
+    for vague in (False, True):
+        finding = Finding(fitted, 0.9, rms_um=1.46, rms_std_um=0.1, peak_um=4.0, vague=vague)
+        assert ("coefficient_ppm_per_k" in finding.parameters) is not vague
+        assert (
+            "1.46 ± 0.2 µm RMS over these rows and 4 µm at most; these rows do not determine its coefficients"
+            in finding.explanation
+        ) is vague
+    sure = Finding(term(effect, form, given), 0.9, rms_um=1.46, rms_std_um=0.1, vague=True)
+    assert "coefficient_ppm_per_k" in sure.parameters, "not 0 at least"
+    cyclic = next(one for one in ALL if one.id == "cyclic")
+    wave = next(iter(cyclic.forms(survey_of(given))))
+    wide = replace(term(cyclic, wave, given), covariance=tuple(map(tuple, np.diag([99.0, 99.0, 0.01]))))
+    assert Finding(wide, 0.9, vague=True).parameters == {}, "its period is no strength"
+
+
+def test_a_users_own_effect_without_parameters_keeps_its_sentence() -> None:
+    for parameters in ((), (("least_size_um", 3.0, 0.0),)):
+        shown = ShownFinding("mine", 0.9, "compensate", "Mine.", parameters, (), None, "plain", ("target_mm",), 1.46)
+        assert {sentence(Texts(language), shown) for language in LANGUAGES} == {"Mine."}
 
 
 def test_a_load_on_an_axis_whose_stiff_point_is_not_known_is_said_in_every_language() -> None:

@@ -204,7 +204,7 @@ def test_an_arm_is_tried_on_both_sides() -> None:
 
 def test_lengths_of_lost_motion_from_the_nearest_row_to_the_travel() -> None:
     """Where no row is nearer to a reversal than 20 / 8 = 2.5 mm from there, a quarter of that as the bound; 2 · 100 = 200 mm, half of
-    that as the longest start. A row at 0.5 mm shows shorter ones, and rows on the reversal itself those of a thousandth of the travel.
+    that as the longest start. A row at 0.5 mm shows shorter ones, down to a thousandth of the travel; rows on the reversal none.
     """
     found = forms("lost_motion", campaign(ranges={"since_reversal_mm": (6.0, 180.0)}))
     single, pair = found["exponential", "since_reversal_mm"], found["two lengths", "since_reversal_mm"]
@@ -216,7 +216,7 @@ def test_lengths_of_lost_motion_from_the_nearest_row_to_the_travel() -> None:
     assert np.diff(np.log(starts)) == pytest.approx([math.log(40.0) / 11] * 11)
     every_third = starts[::3]  # each 2.73 times the one before: more than twice
     assert pair.starts == tuple((a, b) for i, a in enumerate(every_third) for b in every_third[i + 1 :])
-    for nearest_mm, least_mm in ((0.5, 0.5), (0.0, 0.2)):
+    for nearest_mm, least_mm in ((0.5, 0.5), (0.01, 0.2), (0.0, 2.5)):
         near = forms("lost_motion", campaign(ranges={"since_reversal_mm": (nearest_mm, 180.0)}))
         assert near["exponential", "since_reversal_mm"].starts[0] == pytest.approx((least_mm,))
 

@@ -16,7 +16,7 @@ import pytest
 from drivers.errors import InputError
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.air import refractivity_ppm
-from hil.effects.base import NonLinear
+from hil.effects.base import NonLinear, slopes_of
 from hil.effects.history import BRANCH, lagged, with_branches
 
 EFFECTS = {effect.id: effect for effect in ALL}
@@ -248,6 +248,28 @@ def test_lost_motion_of_dahls_model_solves_its_equation(exponent: float) -> None
         Form("lost_motion", "Dahl, strokes remembered", ()), (length, exponent), columns
     )[:, 0]
     assert shape == pytest.approx(solved[::500], abs=0.003)
+
+
+def test_dahls_exponent_is_a_parameter_whose_slope_goes_through_1_smoothly() -> None:
+    """At n = 1 the derivative of e^(-z) to n is ½ z² e^(-z)."""
+    travel = np.linspace(0.5, 12.0, 30)
+    long = dict.fromkeys(BRANCH[1:], np.full(len(travel), 1e6))
+    columns = {"since_reversal_mm": travel, "direction": np.ones(len(travel)), BRANCH[0]: travel, **long}
+    z = travel / 4.0
+    for exponent in (1.0 - 2e-6, 1.0, 1.0 + 1e-7, 1.0001):
+        found = term("lost_motion", "Dahl, strokes remembered", list(columns), [10.0], (4.0, exponent))
+        slope = slopes_of(columns, found, np.array([10.0]))[:, 1]
+        assert slope == pytest.approx(5.0 * z**2 * np.exp(-z), abs=0.02)
+        assert found.parameters["exponent"].value == exponent
+
+
+def test_nearer_to_a_reversal_than_any_row_was_no_more_is_claimed_than_three_times_what_was_seen() -> None:
+    """A length of 1.5 mm from rows at 6 mm and more would make e^4 times what they have."""
+    columns = {"since_reversal_mm": np.array([0.0, 3.0, 5.5, 6.0, 7.5]), "direction": np.ones(5)}
+    form = Form("lost_motion", "exponential", ("since_reversal_mm", "direction"), {"shortest_mm": 6.0})
+    shape = EFFECTS["lost_motion"].basis(form, (1.5,), columns)[:, 0]
+    seen = math.exp(-4.0)
+    assert shape == pytest.approx([3.0 * seen, 3.0 * seen, math.exp(-5.5 / 1.5), seen, math.exp(-5.0)])
 
 
 def test_short_strokes_are_remembered_as_a_stack_of_elements_that_stick_and_slip_does() -> None:
