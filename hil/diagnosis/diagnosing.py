@@ -149,7 +149,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         notes=(
             *_notes(records, campaign, dropped, after, alone),
             *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
-            *(f"{name} does little but undo another course in these rows: not taken" for name in sorted(opposed)),
+            *(
+                f"{name} does little but undo something else that was fitted to these rows: not taken"
+                for name in sorted(opposed)
+            ),
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *courses.values(),
@@ -334,12 +337,10 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str]]:
         pair = min(left, key=left.__getitem__, default=())
         if not pair or left[pair] >= policy().opposed:
             return chosen, opposed
-        without = {
-            name: [choice for choice in chosen.kept if choice.effect.id != name] for name in pair if name != UNNAMED
-        }
-        less = max(without, key=lambda name: last.searcher.evidence(without[name], last.noise))
+        without = {name: refitted_without(chosen, {name}, last.noise) for name in pair if name != UNNAMED}
+        less = max(without, key=lambda name: last.searcher.evidence(without[name].kept, last.noise))
         opposed.add(less)
-        chosen = replace(chosen, fit=last.searcher.fit(without[less], last.noise))
+        chosen = without[less]
 
 
 def required_all_the_same(

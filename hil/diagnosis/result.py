@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -124,7 +125,9 @@ class Finding:
         """
         if self.summed:
             return {"rms_um": Estimate(self.rms_um, self.rms_std_um)}
-        return {name: one for name, one in self._fitted.items() if name.startswith(BOUNDS) or not self.is_unstated}
+        if not self.is_unstated:
+            return self._fitted
+        return {name: one for name, one in self._fitted.items() if name.startswith(BOUNDS)}
 
     @property
     def is_unstated(self) -> bool:
@@ -134,7 +137,7 @@ class Finding:
         first = next(made, None)
         return self.vague and first is not None and abs(first.value) < 2.0 * first.std
 
-    @property
+    @cached_property
     def _fitted(self) -> dict[str, Estimate]:
         own = self.term.parameters
         every = [(term.parameters, share) for term, share in self.follows] or [(own, 1.0)]

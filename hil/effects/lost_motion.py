@@ -83,10 +83,8 @@ class LostMotion(Effect):
             exponent = NonLinear("exponent", LEAST_EXPONENT, MOST_EXPONENT, logarithmic=False)
             both = tuple((start[0], n) for start in starts[::2] for n in EXPONENTS)
             for name, kind in REMEMBERED.items():
-                if kind == DAHL:
-                    forms.append(Form(self.id, name, known, seen, (length, exponent), both, scan=False))
-                else:
-                    forms.append(Form(self.id, name, known, seen, (length,), starts))
+                theta, grid = ((length, exponent), both) if kind == DAHL else ((length,), starts)
+                forms.append(Form(self.id, name, known, seen, theta, grid, scan=kind != DAHL))
         return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
@@ -142,8 +140,8 @@ def _left(form: str, s: Floats, theta: Sequence[float]) -> Floats:
 
 
 def _seen(form: str, s: Floats, theta: Sequence[float], nearest_mm: float) -> Floats:
-    """The same, nearer to the reversal than any row that was fitted at most MOST_BEYOND times what the nearest row has: a length that
-    such rows do not show would make 190 µm of 4.
+    """The share that is left, at most MOST_BEYOND times that of the row nearest to a reversal: a length that no row shows would make
+    190 µm of 4.
     """
     most = MOST_BEYOND * _left(form, np.array([nearest_mm]), theta)
     return np.asarray(np.minimum(_left(form, s, theta), most))
