@@ -135,7 +135,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         pure_error=floor,
         noise=parts,
         declared=base,
-        extended=extended.extended,
+        extended=within_what_was_seen(extended.extended, extended.found, courses, rows.columns),
         findings=findings,
         unexplained=unexplained,
         carriers=carriers,
@@ -161,7 +161,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
-    told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(left))
+    bare = within_what_was_seen(extended.bare, extended.found, courses, rows.columns)
+    told = offered(found_out, structures, left_out, fitted_um, alone, bare=bare, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
 
 
@@ -435,6 +436,22 @@ def _beside_table(chosen: Chosen, course_um: Floats) -> Floats:
     table = chosen.selections[0].searcher.linear.table
     columns = table.stacked[:, : table.table_width]
     return np.asarray(course_um - columns @ np.linalg.lstsq(columns, course_um, rcond=None)[0])
+
+
+def within_what_was_seen(
+    model: Model, found: Sequence[Term], effects: Collection[str], columns: Mapping[str, Floats]
+) -> Model:
+    """The model, in which no term of `found` of these effects makes a larger error than on the rows of these columns.
+
+    For a temperature that a course of time replaces as well: another warm-up may go far beyond what was seen, and if the course of
+    time is the cause, nothing of the error does.
+    """
+    terms = list(model.terms)
+    for i, term in enumerate(terms):
+        if term in found and term.effect.id in effects:
+            error_um = term.error_um(columns)
+            terms[i] = replace(term, within_um=(float(np.min(error_um)), float(np.max(error_um))))
+    return model.with_terms(terms)
 
 
 def _misfit_note(left: LeftOver) -> str:

@@ -28,6 +28,7 @@ class BeamDrift(Effect):
     id: ClassVar[str] = "beam_drift"
     title: ClassVar[str] = "wandering beam or mount"
     action: ClassVar[Action] = Action.FIX_SETUP
+    log_odds: ClassVar[float] = -2.0
     least_over_noise: ClassVar[float] = 0.7
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("thermal_drift", "log the temperatures, let the axis cool down and warm up again"),

@@ -11,11 +11,12 @@ from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, F
 from hil.effects.survey import Survey
 
 OFFSET, ALONG, BOTH, CURVED = "shift", "growing along the travel", "shift and growth", "curved"
+CURVED_ALONG = "curved and growing along the travel"
 
 
 class CrossAxis(Effect):
-    """error_um = (a + b·u)·y·10⁻³ + c·(y - ȳ)²·10⁻⁶, y the other axis in mm; a, b in µm/m, c in µm/m², u the position
-    over half the travel.
+    """error_um = (a + b·u)·y·10⁻³ + (c + e·u)·(y - ȳ)²·10⁻⁶, y the other axis in mm; a, b in µm/m, c, e in µm/m², u the
+    position over half the travel.
     """
 
     id: ClassVar[str] = "cross_axis"
@@ -36,14 +37,20 @@ class CrossAxis(Effect):
             }
             inputs = (axis, "target_mm")
             forms.extend(Form(self.id, name, inputs, constants) for name in (OFFSET, ALONG, CURVED))
-            forms.append(Form(self.id, BOTH, inputs, constants, scan=False))
+            forms.extend(Form(self.id, name, inputs, constants, scan=False) for name in (BOTH, CURVED_ALONG))
         return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         y = columns[form.inputs[0]] * UM_PER_MM_PPM
         u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
         bend = (columns[form.inputs[0]] - form.constants["mean_mm"]) ** 2 * UM_PER_MM_PPM**2
-        columns_of = {OFFSET: [y], ALONG: [u * y], BOTH: [y, u * y], CURVED: [y, bend]}
+        columns_of = {
+            OFFSET: [y],
+            ALONG: [u * y],
+            BOTH: [y, u * y],
+            CURVED: [y, bend],
+            CURVED_ALONG: [y, bend, u * y, u * bend],
+        }
         return np.column_stack(columns_of[form.name])
 
     def is_straight(self, form: Form) -> bool:
@@ -55,9 +62,14 @@ class CrossAxis(Effect):
             ALONG: ["growth_um_per_m"],
             BOTH: ["slope_um_per_m", "growth_um_per_m"],
             CURVED: ["slope_um_per_m", "curvature_um_per_m2"],
+            CURVED_ALONG: ["slope_um_per_m", "curvature_um_per_m2", "growth_um_per_m", "growth_of_curvature_um_per_m2"],
         }[term.form.name]
         return {name: term.coefficient(i) for i, name in enumerate(names)}
 
     def explain(self, term: Term) -> str:
-        bend = f" and {term.coefficient(1)} µm per square metre about its middle" if term.form.name == CURVED else ""
+        bend = (
+            f" and {term.coefficient(1)} µm per square metre about its middle"
+            if term.form.name in (CURVED, CURVED_ALONG)
+            else ""
+        )
         return f"The error follows {term.form.inputs[0]} ({term.form.name}): {term.coefficient(0)} µm per metre of that axis{bend}."

@@ -62,7 +62,8 @@ def courses_as_good(chosen: Chosen) -> Iterator[tuple[str, str]]:
             yield (
                 choice.effect.id,
                 f"{choice.effect.id} follows {name}, and a course of the time since the start fits these rows as well (log odds"
-                f" {behind:.1f}): the correction follows the temperature, which was measured; another warm-up tells the two apart",
+                f" {behind:.1f}): the correction follows the temperature, which was measured, as far as it went on these rows; another"
+                " warm-up tells the two apart",
             )
 
 

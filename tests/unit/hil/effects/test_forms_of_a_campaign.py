@@ -83,6 +83,7 @@ def test_what_is_offered_and_what_only_refines() -> None:
         ("growing along the travel", True),
         ("curved", True),
         ("shift and growth", False),
+        ("curved and growing along the travel", False),
     ]
     simple = ["offset", "with direction", "with position", "with direction and position", "from a stiff point"]
     refined = ["offset and with direction and position", "curved", "curved with direction"]
