@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import AllRows, CampaignRows, prepare
-from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
+from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats, within_what_was_seen
 from hil.diagnosis.noise.evidence import Extra
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
@@ -44,6 +44,7 @@ from hil.diagnosis.verdict.rivals import (
     with_rivals,
 )
 from hil.effects import ALL, Estimate, Form, Term
+from hil.effects.model import Model, PitchTable
 from hil.effects.survey import survey_of
 from hil.records.rows import Records
 
@@ -886,6 +887,39 @@ def test_machines_of_the_grammar_that_were_missed(seed: int, name: str) -> None:
     found = outcome("strong", seed)
     assert found["said"]["findings"][0]["effect"] == name
     assert found["fresh_um"] < 1.05 * found["fresh_true_um"]
+
+
+def test_an_offset_that_settles_is_no_wandering_beam() -> None:
+    """A course of one time constant and a free course of time fit these rows alike (log odds 0.0)."""
+    found = outcome("pairs", 805104)
+    assert [finding["effect"] for finding in found["said"]["findings"]] == ["cross_axis", "thermal_drift"]
+    assert found["fresh_um"] < 1.1 * found["fresh_true_um"]
+
+
+def test_a_temperature_that_the_time_replaces_as_well_corrects_no_more_than_was_seen() -> None:
+    """An offset that settles fits a motor's temperature; on fresh rows that moved, and the correction left 11.6 µm of 1.5."""
+    found = outcome("strong", 805295)
+    assert found["said"]["findings"][0]["effect"] == "thermal_drift"
+    assert "as far as it went on these rows" in " ".join(found["said"]["notes"])
+    assert found["fresh_um"] < 1.25 * found["table_um"]
+
+
+def test_what_was_seen_bounds_only_the_effects_that_are_named() -> None:
+    effects = {one.id: one for one in ALL}
+    drift, before, backlash = (
+        Term(effects[name], Form(name, form, (column,)), (), (amount,), ((0.01,),))
+        for name, form, column, amount in (
+            ("thermal_drift", "temperature", "temp_screw_c", -2.0),
+            ("thermal_drift", "temperature", "temp_screw_c", -1.0),
+            ("backlash", "constant", "direction", 3.0),
+        )
+    )
+    columns = {"temp_screw_c": np.array([20.0, 23.0]), "direction": np.array([1.0, -1.0])}
+    model = Model(PitchTable((0.0,), (0.0,), (0.0,)), (before, drift, backlash))
+    low, high = sorted(drift.error_um(columns))
+    bounded = within_what_was_seen(model, (drift, backlash), {"thermal_drift"}, columns)
+    assert bounded.terms == (before, replace(drift, within_um=(low, high)), backlash)
+    assert high - low == pytest.approx(6.0)
 
 
 def test_parts_along_columns_that_move_together_are_one_cause() -> None:

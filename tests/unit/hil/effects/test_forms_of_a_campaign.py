@@ -352,7 +352,7 @@ def test_what_an_effect_is_called_in_the_model_file_and_what_follows_from_it() -
     assert {e.id: e.mean_of for e in ALL if e.mean_of} == {"backlash": "backlash_position"}
     assert {e.id for e in ALL if e.action is Action.FIX_SETUP} == {"air_index", "beam_drift", "cosine", "dead_path"}
     assert {e.id for e in ALL if e.action is Action.RE_MEASURE} == {"datum_step"}
-    assert {e.id: e.log_odds for e in ALL if e.log_odds} == {"cosine": 0.5}
+    assert {e.id: e.log_odds for e in ALL if e.log_odds} == {"cosine": 0.5, "beam_drift": -2.0}
     assert {e.id: e.least_over_noise for e in ALL if e.least_over_noise} == {"beam_drift": 0.7}
 
 
@@ -364,7 +364,13 @@ STRAIGHT_FORMS = {
     "backlash_position": {"linear"},
     "beam_drift": {"random walk", "flicker"},
     "cosine": {"scale"},
-    "cross_axis": {"shift", "growing along the travel", "curved", "shift and growth"},
+    "cross_axis": {
+        "shift",
+        "growing along the travel",
+        "curved",
+        "shift and growth",
+        "curved and growing along the travel",
+    },
     "cyclic": set(),
     "datum_step": {"step"},
     "dead_path": {"air index"},

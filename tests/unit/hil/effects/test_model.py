@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from drivers.errors import InputError
 from hil.effects import ALL, Form, NonLinear, Term
+from hil.effects.base import Straight
 from hil.effects.model import Model, PitchTable
 
 EFFECTS = {effect.id: effect for effect in ALL}
@@ -176,6 +178,38 @@ def test_a_term_that_was_read_says_of_an_undetermined_parameter_what_one_that_wa
         "least_length_mm": pytest.approx(10.0 / math.e**2),
         "most_length_mm": pytest.approx(10.0 * math.e**2),
     }
+
+
+WARM = {"target_mm": np.array([0.0, 500.0, 1000.0]), "temp_screw_c": np.array([22.0, 21.0, 22.0])}
+KEPT = replace(STEEL, within_um=(-4.0, 12.5))
+"""11 ppm/K make 0, 5.5 and 22 µm of these rows (the temperature counts from 20 °C)."""
+
+
+def test_a_term_makes_no_more_than_it_may() -> None:
+    assert STEEL.error_um(WARM) == pytest.approx([0.0, 5.5, 22.0])
+    assert KEPT.error_um(WARM) == pytest.approx([0.0, 5.5, 12.5])
+    assert KEPT.error_um({**WARM, "temp_screw_c": np.full(3, 19.0)}) == pytest.approx([0.0, -4.0, -4.0])
+
+
+def test_what_a_term_may_make_is_in_the_file_and_only_then() -> None:
+    assert Model.from_json(Model(TABLE, (KEPT, STEEL)).to_json()).terms == (KEPT, STEEL)
+    assert "within_um" not in STEEL.to_json()
+
+
+def test_a_stream_asks_for_every_place_where_a_bound_may_bend_the_line() -> None:
+    assert KEPT.along({"target_mm": 0.0, "temp_screw_c": 22.0}) is None
+    assert STEEL.along({"target_mm": 0.0, "temp_screw_c": 22.0}) is not None
+    kept = replace(BACKLASH, within_um=(-0.25, 0.25)).along({"target_mm": 0.0, "direction": 1.0})
+    assert kept == Straight(0.25, 0.0)
+
+
+@pytest.mark.parametrize("bounds", [[1.0], [1.0, -1.0], [0.0, 1.0, 2.0]])
+def test_bounds_that_are_none_are_refused(bounds: list[float]) -> None:
+    text = Model(TABLE, (KEPT,)).to_json()
+    obj = json.loads(text)
+    obj["terms"][0]["within_um"] = bounds
+    with pytest.raises(InputError, match=r"terms\[0\].within_um is not a least and a largest value"):
+        Model.from_json(json.dumps(obj))
 
 
 NO_MODEL = r'is not a model file: expected "format": "hil-model"'

@@ -573,18 +573,26 @@ def test_cross_axis_is_per_metre_of_the_other_axis() -> None:
         "growing along the travel": [[0.25], [0.1]],
         "shift and growth": [[0.5, 0.25], [-0.1, 0.1]],
         "curved": [[0.5, 0.16], [-0.1, 0.04]],
+        "curved and growing along the travel": [[0.5, 0.16, 0.25, 0.08], [-0.1, 0.04, 0.1, -0.04]],
     }
     names = {
         "shift": ["slope_um_per_m"],
         "growing along the travel": ["growth_um_per_m"],
         "shift and growth": ["slope_um_per_m", "growth_um_per_m"],
         "curved": ["slope_um_per_m", "curvature_um_per_m2"],
+        "curved and growing along the travel": [
+            "slope_um_per_m",
+            "curvature_um_per_m2",
+            "growth_um_per_m",
+            "growth_of_curvature_um_per_m2",
+        ],
     }
+    amounts = [7.0, 8.0, 9.0, 10.0]
     for form, rows in expected.items():
         found = basis("cross_axis", form, columns, constants=constants)
         assert found == [pytest.approx(row) for row in rows], form
-        fitted = term("cross_axis", form, list(columns), [7.0, 8.0][: len(rows[0])])
-        assert [(n, e.value) for n, e in fitted.parameters.items()] == list(zip(names[form], [7.0, 8.0], strict=False))
+        fitted = term("cross_axis", form, list(columns), amounts[: len(rows[0])])
+        assert [(n, e.value) for n, e in fitted.parameters.items()] == list(zip(names[form], amounts, strict=False))
         assert f"follows pos_y_mm ({form}): 7 ± 0.2 µm per metre" in fitted.effect.explain(fitted)
 
 
