@@ -25,11 +25,6 @@ Verdict = list[tuple[str, frozenset[str]]]
 NEARLY = 0.05
 """Difference of confidences beside a model that was fitted from the same rows: it may move within its uncertainty."""
 
-LACKED = ("pitch_shape", "backlash_position")
-"""What only a table in force can lack. Beside a model without the effects, whose table took up their means, one of them may be
-suspected beside the same verdict, less likely than its rivals together.
-"""
-
 
 def verdict(form: dict[str, Any], least: float = 0.0) -> tuple[Verdict, bool, list[list[str]]]:
     """Each finding with its rivals of more than `least`, whether something is unexplained, and what carries it."""
@@ -84,9 +79,6 @@ def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -
     model = tmp_path / "model.json"
     assert main(["fit", *map(str, by_name), "--out", str(model)]) == 0
     with_model = said_by_command(tmp_path, *map(str, by_name), "--model", str(model))
-    suspected = [one for one in with_model["findings"] if one["effect"] in LACKED and one["confidence"] < 0.5]
-    assert len(suspected) <= 1
-    with_model["findings"] = [one for one in with_model["findings"] if one not in suspected]
     assert verdict(with_model, NEARLY) == verdict(loop, NEARLY)
     assert confidences(with_model) == pytest.approx(confidences(loop), abs=NEARLY)
 

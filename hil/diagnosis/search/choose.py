@@ -188,7 +188,7 @@ def _fold_structure_search(catalogue: Catalogue, whole: Chosen, step: int) -> Fo
 
 def _second(problem: Problem, given: Setting, static: Candidates, first: Selected, out: Mask | None) -> Searcher:
     """The searcher against the declared table, with the part of the found effects that it may have absorbed."""
-    setting = replace(given, static=static_part(problem.free.linear, first.choices))
+    setting = replace(given, static=static_part(problem.free.linear, first.choices, problem.plain))
     searcher = Searcher(setting, static, out, LIGHT if out is not None else FULL)
     searcher.nuisance = first.searcher.nuisance
     return searcher

@@ -335,23 +335,26 @@ def _terms(
     return terms
 
 
-def static_part(linear: LinearCampaign, choices: Sequence[Choice]) -> StaticPart | None:
+def static_part(linear: LinearCampaign, choices: Sequence[Choice], plain: Noise | None = None) -> StaticPart | None:
     """What a declared table may have absorbed of some choices, as orthogonal columns; None without choices.
 
     Of one that varies besides position and direction: its parts in a table of these rows, however smooth that was fitted and with
-    run offsets or without. Of a static one only its part in a rough table: the rest of it is in any table of its kind. Of one that
-    is a table itself nothing: it and its share would grow without bound against each other.
+    run offsets or without; `plain` is the noise of the table that a fit of these rows without the choices makes. Of a static one only
+    its part in a rough table: the rest of it is in any table of its kind. Of one that is a table itself nothing: it and its share
+    would grow without bound against each other.
     """
     free = [choice for choice in choices if not choice.form.shrunk and not choice.effect.is_table]
     if not free or not isinstance(linear.shape, SplineShape):
         return None
     w = linear.table.table_width
     none = np.zeros((len(linear.campaign), 0))
+    tables = [Noise(even=roughness, odd=roughness, offset=offset) for roughness, offset in ABSORBING]
+    tables += [] if plain is None else [plain]
     parts = [
-        linear.projection(Noise(even=roughness, odd=roughness, offset=offset), column).solve(none).table[:w]
+        linear.projection(noise, column).solve(none).table[:w]
         for choice in free
         for column in choice.columns(linear.campaign).T
-        for roughness, offset in (ABSORBING[:1] if choice.effect.static else ABSORBING)
+        for noise in (tables[:1] if choice.effect.static else tables)
     ]
     at_rows = linear.table.stacked[:, :w] @ np.column_stack(parts)
     _, size, directions = np.linalg.svd(
