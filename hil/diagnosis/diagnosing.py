@@ -28,6 +28,7 @@ from hil.diagnosis.search.choose import Chosen, Problem, choose, may_be_misfit, 
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
 from hil.diagnosis.search.select import Selected, drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
+from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, within_what_was_seen
 from hil.diagnosis.verdict.held_out import (
     ONCE,
     HeldOut,
@@ -42,7 +43,6 @@ from hil.diagnosis.verdict.offer import offered
 from hil.diagnosis.verdict.rivals import (
     beaten_by_runs,
     columns_as_good,
-    courses_as_good,
     is_unsure,
     separating,
     unrecorded,
@@ -52,6 +52,7 @@ from hil.diagnosis.verdict.rivals import (
 from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
+from hil.effects.warming import is_bounded
 from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
@@ -99,12 +100,11 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     if below_noise:
         kept = [choice for choice in chosen.kept if choice.effect.id not in below_noise]
         chosen = replace(chosen, fit=chosen.last.searcher.fit_of_unknown_noise(kept, noise))
-    courses = dict(courses_as_good(chosen))
     doubtful = {f.effect: Estimate(f.rms_um, f.rms_std_um) for f in findings if f.doubtful}
     unexplained = unexplained or bool(doubtful)
     structures = structures if unexplained else ()
     said = bool(dropped or opposed or few or below_noise or unexplained)
-    extended = (None if said else _unproven(problem, chosen, parts.within_run_um)) or chosen.fit
+    extended, courses, said_of_it = _put_into_force(problem, chosen, parts.within_run_um, rows, is_alone=not said)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     floor = pure_error(rows.columns, rows.error_um - np.sum([t.error_um(rows.columns) for t in extended.found], axis=0))
@@ -135,7 +135,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         pure_error=floor,
         noise=parts,
         declared=base,
-        extended=within_what_was_seen(extended.extended, extended.found, courses, rows.columns),
+        extended=extended.extended,
         findings=findings,
         unexplained=unexplained,
         carriers=carriers,
@@ -155,14 +155,12 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             ),
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
-            *courses.values(),
+            *said_of_it,
             *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, explained_um, len(campaign), alike=alike),
-            *(_suspicion(term) for term in extended.found if extended is not chosen.fit),
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
-    bare = within_what_was_seen(extended.bare, extended.found, courses, rows.columns)
-    told = offered(found_out, structures, left_out, fitted_um, alone, bare=bare, formless=bool(left))
+    told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
 
 
@@ -180,13 +178,34 @@ def _choose(
     return problem, settle(chosen)
 
 
-def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> JointFit | None:
-    """The fit with an effect that is suspected only, where it is more than noise that wanders."""
+def _put_into_force(
+    problem: Problem, chosen: Chosen, noise_um: float, rows: AllRows, *, is_alone: bool
+) -> tuple[JointFit, dict[str, float], list[str]]:
+    """The fit of which the extended model is made, the temperatures that a course of time replaces (`courses_as_good`), and notes.
+
+    is_alone: nothing was found, or taken away, beside which an effect could be suspected
+    """
+    suspected = _unproven(problem, chosen, noise_um) if is_alone else None
+    fit, choices = (chosen.fit, chosen.kept) if suspected is None else suspected
+    courses = courses_as_good(chosen.last.searcher, chosen.last.noise, choices)
+    bounded = within_what_was_seen(fit, courses, rows.columns)
+    declared = [term for term in bounded.extended.terms if term not in bounded.found]
+    names = {choice.effect.id: choice.form.inputs[0] for choice in choices if choice.effect.id in courses}
+    notes = [course_note(effect, column, courses[effect]) for effect, column in names.items()]
+    notes += [bounded_note(term) for term in declared if is_bounded(term)]
+    notes += [] if suspected is None else [_suspicion(term) for term in fit.found]
+    return bounded, courses, notes
+
+
+def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> tuple[JointFit, tuple[Choice, ...]] | None:
+    """The fit with an effect that is suspected only, and its choice, where it is more than noise that wanders."""
     choice = unproven_choice(problem, chosen)
-    fit = None if choice is None else smooth_fit(chosen.last, (choice,))[0]
-    if fit is None or rms_of_term(fit.found[0], problem.campaign.columns).value < policy().wander * noise_um:
+    if choice is None:
         return None
-    return fit
+    fit, _ = smooth_fit(chosen.last, (choice,))
+    if rms_of_term(fit.found[0], problem.campaign.columns).value < policy().wander * noise_um:
+        return None
+    return fit, (choice,)
 
 
 def smooth_fit(selected: Selected, choices: Sequence[Choice]) -> tuple[JointFit, Noise]:
@@ -436,22 +455,6 @@ def _beside_table(chosen: Chosen, course_um: Floats) -> Floats:
     table = chosen.selections[0].searcher.linear.table
     columns = table.stacked[:, : table.table_width]
     return np.asarray(course_um - columns @ np.linalg.lstsq(columns, course_um, rcond=None)[0])
-
-
-def within_what_was_seen(
-    model: Model, found: Sequence[Term], effects: Collection[str], columns: Mapping[str, Floats]
-) -> Model:
-    """The model, in which no term of `found` of these effects makes a larger error than on the rows of these columns.
-
-    For a temperature that a course of time replaces as well: another warm-up may go far beyond what was seen, and if the course of
-    time is the cause, nothing of the error does.
-    """
-    terms = list(model.terms)
-    for i, term in enumerate(terms):
-        if term in found and term.effect.id in effects:
-            error_um = term.error_um(columns)
-            terms[i] = replace(term, within_um=(float(np.min(error_um)), float(np.max(error_um))))
-    return model.with_terms(terms)
 
 
 def _misfit_note(left: LeftOver) -> str:

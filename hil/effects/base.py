@@ -238,7 +238,6 @@ class Term:
 
     theta: the non-linear parameters, in the order of form.nonlinear
     coefficients: shape (k,); covariance: of (coefficients, theta), shape (k + t, k + t)
-    within_um: least and largest error that it may make, where its cause is in doubt; None: any
     """
 
     effect: Effect
@@ -246,7 +245,6 @@ class Term:
     theta: tuple[float, ...]
     coefficients: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
-    within_um: tuple[float, float] | None = None
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -266,8 +264,7 @@ class Term:
             if not np.all(np.isfinite(columns[name])):
                 raise InputError(f"effect {self.effect.id} needs {name} in every row, but some are empty")
         basis = self.effect.basis(self.form, self.theta, columns)
-        error_um = np.asarray(basis @ np.array(self.coefficients), dtype=np.float64)
-        return error_um if self.within_um is None else np.clip(error_um, *self.within_um)
+        return np.asarray(basis @ np.array(self.coefficients), dtype=np.float64)
 
     def along(self, row: Mapping[str, float]) -> Straight | Wave | None:
         """The error as a function of the place, everything else as in the row; None where only arrays can give it.
@@ -275,8 +272,6 @@ class Term:
         Raises InputError as `error_um`.
         """
         columns = {name: np.full(2, value) for name, value in row.items()} | {"target_mm": np.array([0.0, _APART_MM])}
-        if self.within_um is not None and "target_mm" in self.needs:
-            return None
         at_zero_um, there_um = self.error_um(columns).tolist()
         if self.effect.is_straight(self.form):
             return Straight(at_zero_um, (there_um - at_zero_um) / _APART_MM)
@@ -370,7 +365,7 @@ class Term:
             "nonlinear": {p.name: value for p, value in zip(self.form.nonlinear, self.theta, strict=True)},
             "coefficients": list(self.coefficients),
             "covariance": [list(row) for row in self.covariance],
-        } | ({} if self.within_um is None else {"within_um": list(self.within_um)})
+        }
 
 
 class Parametrised(Protocol):

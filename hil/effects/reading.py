@@ -26,7 +26,7 @@ def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
     if not isinstance(obj, dict):
         raise InputError(f"{where} is not an object")
     expected = {"effect", "form", "inputs", "constants", "nonlinear", "coefficients", "covariance"}
-    if set(obj) - {"within_um"} != expected:
+    if set(obj) != expected:
         raise InputError(f"{where} has the keys {sorted(obj)}, expected {sorted(expected)}")
     known = {effect.id: effect for effect in (*NEVER_SEARCHED, *effects)}
     if not isinstance(obj["effect"], str) or obj["effect"] not in known:
@@ -53,8 +53,7 @@ def term_from_json(obj: object, effects: Sequence[Effect], where: str) -> Term:
         constants=constants,
         nonlinear=tuple(NonLinear(name, -math.inf, math.inf) for name in nonlinear),
     )
-    within = _bounds(obj["within_um"], f"{where}.within_um") if "within_um" in obj else None
-    term = Term(known[obj["effect"]], form, tuple(nonlinear.values()), coefficients, rows, within)
+    term = Term(known[obj["effect"]], form, tuple(nonlinear.values()), coefficients, rows)
     _try_out(term, where)
     return term
 
@@ -68,13 +67,6 @@ def _try_out(term: Term, where: str) -> None:
         raise InputError(f"{where}: effect {term.effect.id} does not know the form {term.form.name!r}") from error
     if width != len(term.coefficients):
         raise InputError(f"{where}: {len(term.coefficients)} coefficients, form {term.form.name!r} has {width}")
-
-
-def _bounds(obj: object, where: str) -> tuple[float, float]:
-    bounds = numbers(obj, where)
-    if len(bounds) != 2 or bounds[0] > bounds[1]:
-        raise InputError(f"{where} is not a least and a largest value")
-    return bounds[0], bounds[1]
 
 
 def numbers(obj: object, where: str) -> tuple[float, ...]:

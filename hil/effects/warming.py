@@ -7,9 +7,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.effects.base import MOST_UNSURE, Columns, Estimate, Floats, Form, NonLinear, Term
 from hil.effects.history import lagged, through
@@ -35,6 +36,10 @@ UNMEASURED = -3.0
 """The same of a course of time where a temperature of the machine is logged, beside one through a lag: its time constant is free over
 a range of 180 to 1 and found to a tenth or so, a factor of 20.
 """
+Rows = NDArray[np.bool_] | slice
+ALL_ROWS = slice(None)
+SEEN = ("least_rise_k", "most_rise_k")
+"""Constants of a form by a temperature, where it is bounded: the least and the most of its rise that counts, K above 20 °C."""
 LEAST_SEEN = 0.5
 """Share of a course that settles which must lie between the first row and the last for its final value to be stated: beyond
 that it is an extrapolation.
@@ -192,9 +197,23 @@ def is_unlike_along(form: Form) -> bool:
     return form.name.endswith(UNLIKE_ALONG + ABOUT_A_POINT)
 
 
+def as_far_as_seen(term: Term, columns: Columns, rows: Rows = ALL_ROWS) -> Term:
+    """A term by a temperature, the rise of which counts no further than on some rows of these columns, or than it did."""
+    free = replace(term.form, constants={k: v for k, v in term.form.constants.items() if k not in SEEN})
+    risen = rise(free, term.theta, columns)[rows]
+    least, most = (term.form.constants.get(name, float(risen[0, 0])) for name in SEEN)
+    bounds = min(least, float(np.min(risen))), max(most, float(np.max(risen)))
+    return replace(term, form=replace(free, constants={**free.constants, **dict(zip(SEEN, bounds, strict=True))}))
+
+
+def is_bounded(term: Term) -> bool:
+    """Whether the rise of a term counts only as far as it was seen."""
+    return SEEN[0] in term.form.constants
+
+
 def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
-    """The temperature rise of a form, shape (n, 1): K above 20 °C, or the fraction of the final rise (0 … 1). Raises
-    KeyError for another form.
+    """The temperature rise of a form, shape (n, 1): K above 20 °C, no further than its constants `SEEN` where it has them; or
+    the fraction of the final rise (0 … 1). Raises KeyError for another form.
 
     SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
@@ -209,4 +228,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         values = lagged(columns[form.inputs[1]], values, theta[0]) if now is None else now - REFERENCE_C
     elif name != TEMPERATURE:
         raise KeyError(form.name)
+    if SEEN[0] in form.constants:
+        least, most = (form.constants[name] for name in SEEN)
+        values = np.clip(values, least, most)
     return np.asarray(values)[:, None]

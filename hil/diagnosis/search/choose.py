@@ -26,6 +26,7 @@ from hil.diagnosis.search.structure import Catalogue, static_structures, structu
 from hil.diagnosis.table import DeclaredShape
 from hil.effects import Effect, Form, Survey
 from hil.effects.model import Model
+from hil.effects.warming import as_far_as_seen, is_bounded
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -59,20 +60,21 @@ def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Mode
     catalogue = structures(campaign)
     n = len(campaign)
     linear = LinearCampaign(campaign)
-    terms = () if declared is None else declared.terms
+    given = None if declared is None else _as_far_as_these_rows(declared, campaign)
+    terms = () if given is None else given.terms
     error = campaign.error_um - sum((term.error_um(campaign.columns) for term in terms), np.zeros(n))
     plain = fit_noise(linear, error, Extra.none(n), start_noise(campaign), correlations=((0.0, 0.0),))
     projection = linear.projection(plain, error)
     share = score(projection, candidates.stack(projection.whitened)).visible
     visible = {effect.id: 0.0 for effect in effects if effect.is_table and effect.forms(campaign.survey)}
     visible |= {name: float(np.max(share[candidates.effect == i])) for i, name in enumerate(candidates.effects)}
-    if declared is None:
+    if given is None:
         free = Setting(linear, error, Known.none(n))
         return Problem(campaign, free, candidates, catalogue, plain, visible, seed)
     noise_um = float(np.sqrt(projection.solve(np.zeros((n, 0))).variance))
-    lacking_um = campaign.error_um - declared.error_um(campaign.columns)
-    known = Known.of(declared, campaign, noise_um)
-    shape = DeclaredShape.of(declared.table, noise_um)
+    lacking_um = campaign.error_um - given.error_um(campaign.columns)
+    known = Known.of(given, campaign, noise_um)
+    shape = DeclaredShape.of(given.table, noise_um)
     lacking = [e for e in effects if e.static or visible.get(e.id, 0.0) < policy().blind]
     return Problem(
         campaign,
@@ -86,6 +88,13 @@ def problem_of(campaign: CampaignRows, effects: Sequence[Effect], declared: Mode
         Setting(LinearCampaign(campaign, shape), lacking_um, known),
         enumerate_candidates(campaign, lacking),
         static_structures(campaign),
+    )
+
+
+def _as_far_as_these_rows(declared: Model, campaign: CampaignRows) -> Model:
+    """A declared model, the temperatures of which count as far as on these rows too, where they are bounded."""
+    return declared.with_terms(
+        [as_far_as_seen(term, campaign.columns) if is_bounded(term) else term for term in declared.terms]
     )
 
 

@@ -173,19 +173,23 @@ class JointFit:
     white_um: float
     nuisance_um: Floats
 
-    def with_covariances(self, covariances: Sequence[Floats]) -> JointFit:
-        """The same fit with other covariances of the terms of the choices, (k + t, k + t) each."""
-        terms = tuple(
-            replace(term, covariance=tuple(tuple(row) for row in one.tolist()))
-            for term, one in zip(self.found, covariances, strict=True)
-        )
-
+    def with_terms(self, terms: Sequence[Term]) -> JointFit:
+        """The same fit with other terms of the choices."""
         new = {id(term): other for term, other in zip(self.found, terms, strict=True)}
 
         def of(model: Model) -> Model:
             return replace(model, terms=tuple(new.get(id(term), term) for term in model.terms))
 
-        return replace(self, whole=of(self.whole), extended=of(self.extended), bare=of(self.bare), found=terms)
+        return replace(self, whole=of(self.whole), extended=of(self.extended), bare=of(self.bare), found=tuple(terms))
+
+    def with_covariances(self, covariances: Sequence[Floats]) -> JointFit:
+        """The same fit with other covariances of the terms of the choices, (k + t, k + t) each."""
+        return self.with_terms(
+            [
+                replace(term, covariance=tuple(tuple(row) for row in one.tolist()))
+                for term, one in zip(self.found, covariances, strict=True)
+            ]
+        )
 
 
 @dataclass(frozen=True)

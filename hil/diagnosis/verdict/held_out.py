@@ -22,6 +22,7 @@ from hil.diagnosis.search.rank import refine
 from hil.diagnosis.search.searcher import LIGHT, ConditionalSearch, Searcher
 from hil.diagnosis.search.select import Selected
 from hil.diagnosis.search.structure_estimate import structure_estimates
+from hil.diagnosis.verdict.courses import courses_as_good, within_what_was_seen
 from hil.effects import Action
 
 Floats = NDArray[np.float64]
@@ -103,11 +104,13 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
             noise = plain.fit_noise((), problem.plain)
             plain.limit_outliers((), noise)
             base = plain.fit((), noise, uncertain=False).extended
-        before[left] = y[left] - base.error_um(rows.columns)[left]  # of all rows: a sensor's lag does not begin anew
-        setup[left] = y[left] - chosen.fit.whole.error_um(rows.columns)[left]
-        after[left] = y[left] - chosen.fit.extended.error_um(rows.columns)[left]
-        bare[left] = y[left] - chosen.fit.bare.error_um(rows.columns)[left]
         last = chosen.last
+        courses = courses_as_good(last.searcher, last.noise, chosen.kept)
+        fit = within_what_was_seen(chosen.fit, courses, rows.columns, ~left)
+        before[left] = y[left] - base.error_um(rows.columns)[left]  # of all rows: a sensor's lag does not begin anew
+        setup[left] = y[left] - fit.whole.error_um(rows.columns)[left]
+        after[left] = y[left] - fit.extended.error_um(rows.columns)[left]
+        bare[left] = y[left] - fit.bare.error_um(rows.columns)[left]
         for found in structure_estimates(last.searcher, chosen.hits, last.choices, last.noise):
             carries[left] += found.error_um(rows.columns)[left]
         structure_term_gain[index] = float(np.sum(setup[left] ** 2) - np.sum((setup[left] - carries[left]) ** 2))

@@ -184,9 +184,11 @@ def _weigh_part(
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
     for hypothesis in list(found.values()):  # an unseen drift may follow any course that a drift may
         loose = found.get("beam_drift")
-        wanders = hypothesis.unseen is not None and hypothesis.unseen.wanders
-        if loose is not None and wanders and hypothesis.gain < loose.gain - policy().unseen:
-            found[hypothesis.id] = replace(hypothesis, gain=loose.gain - policy().unseen)
+        if loose is None or hypothesis.unseen is None or not hypothesis.unseen.wanders:
+            continue
+        gain = loose.gain - loose.effect.log_odds - policy().unseen
+        if hypothesis.gain < gain:
+            found[hypothesis.id] = replace(hypothesis, gain=gain)
     return list(found.values())
 
 

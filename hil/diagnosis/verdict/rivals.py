@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,13 +14,11 @@ from hil.diagnosis.noise.evidence import Noise, random_gain, run_columns
 from hil.diagnosis.policy import policy
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.diagnosis.search.choose import Chosen
-from hil.diagnosis.search.fit import grid_choices
-from hil.diagnosis.search.rank import by_column, score_choices
+from hil.diagnosis.search.rank import by_column
 from hil.diagnosis.verdict.held_out import ONCE, few_of
 from hil.effects import Effect, Survey, Term
 from hil.effects.load_deflection import is_tilt
 from hil.effects.thermometers import TEMPERATURE
-from hil.effects.warming import is_about_a_point, is_since_start
 
 Floats = NDArray[np.float64]
 
@@ -36,35 +34,6 @@ SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
 """Effects that are an offset in the course of time."""
 WAY = ("since_reversal_mm", "stroke_mm")
 """Columns of the way to the target."""
-
-
-def courses_as_good(chosen: Chosen) -> Iterator[tuple[str, str]]:
-    """Each effect that follows a measured temperature where a course of the time since the start fits as well, with a note."""
-    last = chosen.last
-    kept = chosen.kept
-    survey = last.searcher.linear.campaign.survey
-    for i, choice in enumerate(kept):
-        name = choice.form.inputs[0] if choice.form.inputs else ""
-        courses = [
-            course
-            for form in choice.effect.forms(survey)
-            if name in survey.temperatures
-            and is_since_start(form)
-            and is_about_a_point(form) == is_about_a_point(choice.form)
-            for course in grid_choices(choice.effect, form)
-        ]
-        if not courses:
-            continue
-        projection = last.searcher.projection(last.noise, last.searcher.extra([*kept[:i], *kept[i + 1 :]]))
-        gains, _ = score_choices(projection, [choice, *courses])
-        behind = float(gains[0]) - choice.form.log_odds - float(np.max(gains[1:] - courses[0].form.log_odds))
-        if behind < policy().as_well:
-            yield (
-                choice.effect.id,
-                f"{choice.effect.id} follows {name}, and a course of the time since the start fits these rows as well (log odds"
-                f" {behind:.1f}): the correction follows the temperature, which was measured, as far as it went on these rows; another"
-                " warm-up tells the two apart",
-            )
 
 
 def columns_as_good(chosen: Chosen, term: Term, noise: Noise) -> tuple[tuple[Term, float], ...]:

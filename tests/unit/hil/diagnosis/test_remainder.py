@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import AllRows, CampaignRows, prepare
-from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats, within_what_was_seen
+from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.evidence import Extra
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
@@ -28,9 +28,10 @@ from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import Group, Scan, best_by_chance, scan, variables
 from hil.diagnosis.result import Carrier, Finding, NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
-from hil.diagnosis.search.fit import Setting, start_noise
+from hil.diagnosis.search.fit import JointFit, Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.search.select import Selected
+from hil.diagnosis.verdict.courses import course_note, within_what_was_seen
 from hil.diagnosis.verdict.held_out import few_of
 from hil.diagnosis.verdict.rivals import (
     SENSORS,
@@ -46,6 +47,7 @@ from hil.diagnosis.verdict.rivals import (
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.model import Model, PitchTable
 from hil.effects.survey import survey_of
+from hil.effects.warming import as_far_as_seen
 from hil.records.rows import Records
 
 NOISE_UM = 0.5
@@ -904,22 +906,42 @@ def test_a_temperature_that_the_time_replaces_as_well_corrects_no_more_than_was_
     assert found["fresh_um"] < 1.25 * found["table_um"]
 
 
-def test_what_was_seen_bounds_only_the_effects_that_are_named() -> None:
-    effects = {one.id: one for one in ALL}
-    drift, before, backlash = (
-        Term(effects[name], Form(name, form, (column,)), (), (amount,), ((0.01,),))
-        for name, form, column, amount in (
-            ("thermal_drift", "temperature", "temp_screw_c", -2.0),
-            ("thermal_drift", "temperature", "temp_screw_c", -1.0),
-            ("backlash", "constant", "direction", 3.0),
-        )
-    )
-    columns = {"temp_screw_c": np.array([20.0, 23.0]), "direction": np.array([1.0, -1.0])}
-    model = Model(PitchTable((0.0,), (0.0,), (0.0,)), (before, drift, backlash))
-    low, high = sorted(drift.error_um(columns))
-    bounded = within_what_was_seen(model, (drift, backlash), {"thermal_drift"}, columns)
-    assert bounded.terms == (before, replace(drift, within_um=(low, high)), backlash)
-    assert high - low == pytest.approx(6.0)
+def test_only_a_temperature_that_the_time_replaces_nearly_as_well_is_bounded() -> None:
+    known = {one.id: one for one in ALL}["thermal_drift"]
+    drift = Term(known, Form(known.id, "temperature", ("temp_screw_c",)), (), (-2.0,), ((0.01,),))
+    columns = {"temp_screw_c": np.array([20.0, 23.0]), "target_mm": np.zeros(2), "direction": np.ones(2)}
+    model = Model(PitchTable((0.0,), (0.0,), (0.0,)), (drift,))
+    fit = JointFit(model, model, model, (drift,), 1.0, np.zeros(2))
+    hot = {**columns, "temp_screw_c": np.array([26.0, 26.0])}
+    for log_odds, at_26_c in ((2.0, -6.0), (3.0, -12.0)):
+        bounded = within_what_was_seen(fit, {"thermal_drift": log_odds}, columns)
+        for one in (bounded.whole, bounded.extended, bounded.bare):
+            assert one.error_um(hot) == pytest.approx([at_26_c, at_26_c])
+        said = course_note("thermal_drift", "temp_screw_c", log_odds)
+        assert ("as far as it went on these rows" in said) is (log_odds < 2.5)
+    first = within_what_was_seen(fit, {"thermal_drift": 2.0}, hot, np.array([True, False]))
+    assert first.extended.error_um(columns) == pytest.approx([-12.0, -12.0]), "by the rows that were fitted alone"
+
+
+def test_a_model_with_a_bound_is_no_cause_beside_rows_that_go_further() -> None:
+    """A bounded drift of 2.5 µm/K, and a second warm-up that goes twice as far: nothing is missing, and the bound has grown."""
+
+    def drifting(warm_k: float) -> Records:
+        return workshop(3, lambda c: 2.5 * (c["temp_screw_c"] - 20.0), noise_um=0.3, warm_k=warm_k)[0]
+
+    first, second = drifting(2.0), drifting(4.0)
+    known = {one.id: one for one in ALL}["thermal_drift"]
+    drift = Term(known, Form(known.id, "temperature", ("temp_screw_c",)), (), (2.5,), ((4e-4,),))
+    columns = dict(first.columns)
+    rest = Records.of({**columns, "measured_mm": columns["measured_mm"] - drift.error_um(columns) / 1e3})
+    declared = fit_model(rest).with_terms([as_far_as_seen(drift, columns)])
+    found = diagnose(second, declared)
+    assert not found.findings
+    assert not found.unexplained
+    (term,) = found.extended.terms
+    warmest_k = max(columns["temp_screw_c"]) - 20.0
+    assert term.form.constants["most_rise_k"] > 1.5 * warmest_k
+    assert any("of the model given follows temp_screw_c" in note for note in found.notes)
 
 
 def test_parts_along_columns_that_move_together_are_one_cause() -> None:

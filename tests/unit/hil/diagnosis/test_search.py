@@ -9,6 +9,7 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
+from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting, start_noise
 from hil.diagnosis.search.judge import FoldJudge, NullJudge
@@ -98,5 +99,5 @@ def test_the_gain_that_is_just_significant_is_where_its_chance_is_the_wanted_one
     assert set(critical) == {effect.id for effect in EFFECTS}
     for name, value in critical.items():
         below, at = (float(judge.null.probability(name, v)) for v in (value - 0.25, value))
-        assert at < 0.003 / 4 <= below
+        assert at < policy().false_findings / 4 <= below
     assert critical["cyclic"] > critical["velocity_lag"]

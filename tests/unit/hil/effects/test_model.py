@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from drivers.errors import InputError
 from hil.effects import ALL, Form, NonLinear, Term
 from hil.effects.base import Straight
 from hil.effects.model import Model, PitchTable
+from hil.effects.warming import as_far_as_seen, is_bounded
 
 EFFECTS = {effect.id: effect for effect in ALL}
 TABLE = PitchTable((0.0, 100.0, 200.0), (0.0, 4.0, 2.0), (-1.0, -3.0, -1.0))
@@ -180,36 +180,48 @@ def test_a_term_that_was_read_says_of_an_undetermined_parameter_what_one_that_wa
     }
 
 
-WARM = {"target_mm": np.array([0.0, 500.0, 1000.0]), "temp_screw_c": np.array([22.0, 21.0, 22.0])}
-KEPT = replace(STEEL, within_um=(-4.0, 12.5))
-"""11 ppm/K make 0, 5.5 and 22 µm of these rows (the temperature counts from 20 °C)."""
+WARM = {"target_mm": np.array([0.0, 500.0, 1000.0]), "temp_screw_c": np.array([20.5, 21.0, 22.0])}
 
 
-def test_a_term_makes_no_more_than_it_may() -> None:
-    assert STEEL.error_um(WARM) == pytest.approx([0.0, 5.5, 22.0])
-    assert KEPT.error_um(WARM) == pytest.approx([0.0, 5.5, 12.5])
-    assert KEPT.error_um({**WARM, "temp_screw_c": np.full(3, 19.0)}) == pytest.approx([0.0, -4.0, -4.0])
+def test_a_bounded_temperature_counts_as_far_as_it_was_seen_at_every_place() -> None:
+    """0.5 to 2 K above 20 °C were seen: 11 ppm/K make 5.5 to 22 µm at 1 m, a quarter of it at 250 mm."""
+    bounded = as_far_as_seen(STEEL, WARM)
+    assert is_bounded(bounded)
+    assert not is_bounded(STEEL)
+    assert bounded.error_um(WARM) == pytest.approx(STEEL.error_um(WARM))
+    for degrees, risen_k in ((30.0, 2.0), (15.0, 0.5), (21.2, 1.2)):
+        columns = {"target_mm": np.array([250.0, 1000.0]), "temp_screw_c": np.full(2, degrees)}
+        assert bounded.error_um(columns) == pytest.approx([2.75 * risen_k, 11.0 * risen_k])
+    assert isinstance(bounded.along({"target_mm": 0.0, "temp_screw_c": 30.0}), Straight), "a stream asks for two places"
+    assert Model.from_json(Model(TABLE, (bounded,)).to_json()).terms == (bounded,)
 
 
-def test_what_a_term_may_make_is_in_the_file_and_only_then() -> None:
-    assert Model.from_json(Model(TABLE, (KEPT, STEEL)).to_json()).terms == (KEPT, STEEL)
-    assert "within_um" not in STEEL.to_json()
+def test_a_bound_grows_with_what_is_seen_later_and_never_shrinks() -> None:
+    bounded = as_far_as_seen(STEEL, WARM)
+    later = {**WARM, "temp_screw_c": np.array([21.0, 21.5, 24.0])}
+    grown = as_far_as_seen(bounded, later)
+    assert (grown.form.constants["least_rise_k"], grown.form.constants["most_rise_k"]) == (0.5, 4.0)
+    some = as_far_as_seen(STEEL, later, np.array([True, True, False]))
+    assert (some.form.constants["least_rise_k"], some.form.constants["most_rise_k"]) == (1.0, 1.5)
 
 
-def test_a_stream_asks_for_every_place_where_a_bound_may_bend_the_line() -> None:
-    assert KEPT.along({"target_mm": 0.0, "temp_screw_c": 22.0}) is None
-    assert STEEL.along({"target_mm": 0.0, "temp_screw_c": 22.0}) is not None
-    kept = replace(BACKLASH, within_um=(-0.25, 0.25)).along({"target_mm": 0.0, "direction": 1.0})
-    assert kept == Straight(0.25, 0.0)
-
-
-@pytest.mark.parametrize("bounds", [[1.0], [1.0, -1.0], [0.0, 1.0, 2.0]])
-def test_bounds_that_are_none_are_refused(bounds: list[float]) -> None:
-    text = Model(TABLE, (KEPT,)).to_json()
-    obj = json.loads(text)
-    obj["terms"][0]["within_um"] = bounds
-    with pytest.raises(InputError, match=r"terms\[0\].within_um is not a least and a largest value"):
-        Model.from_json(json.dumps(obj))
+def test_through_a_lag_it_is_what_the_lag_let_through() -> None:
+    """A step of 4 K through a lag of 1000 s, read after 100 s and again after 10,000: a tenth of it was seen, not 4 K."""
+    drift = Term(
+        EFFECTS["thermal_drift"],
+        Form("thermal_drift", "lagged temperature", ("temp_screw_c", "time_s"), {}, (NonLinear("lag", 1.0, 1e5),)),
+        (1000.0,),
+        (1.0,),
+        ((0.01, 0.0), (0.0, 1.0)),
+    )
+    step = {"temp_screw_c": np.array([20.0, 24.0, 24.0]), "time_s": np.array([0.0, 0.001, 100.0])}
+    seen_um = drift.error_um(step)
+    assert max(seen_um) == pytest.approx(4.0 * (1.0 - math.exp(-0.1)), rel=0.05)
+    long = {name: np.append(values, values[-1]) for name, values in step.items()} | {
+        "time_s": np.append(step["time_s"], 1e4)
+    }
+    assert drift.error_um(long)[-1] > 3.9
+    assert as_far_as_seen(drift, step).error_um(long)[-1] == pytest.approx(max(seen_um))
 
 
 NO_MODEL = r'is not a model file: expected "format": "hil-model"'

@@ -594,6 +594,7 @@ def test_cross_axis_is_per_metre_of_the_other_axis() -> None:
         fitted = term("cross_axis", form, list(columns), amounts[: len(rows[0])])
         assert [(n, e.value) for n, e in fitted.parameters.items()] == list(zip(names[form], amounts, strict=False))
         assert f"follows pos_y_mm ({form}): 7 ± 0.2 µm per metre" in fitted.effect.explain(fitted)
+        assert (" µm per square metre" in fitted.effect.explain(fitted)) is form.startswith("curved")
 
 
 def test_thermal_expansion_of_a_steel_screw() -> None:
