@@ -176,6 +176,11 @@ def is_since_start(form: Form) -> bool:
     return form.name.removesuffix(ABOUT_A_POINT) in SINCE_START
 
 
+def follows_a_temperature(form: Form) -> bool:
+    """Whether a form follows a sensor's temperature, through a lag or not."""
+    return _course(form) in (TEMPERATURE, LAGGED)
+
+
 def is_about_a_point(form: Form) -> bool:
     """Whether a form grows about a point that is fitted."""
     return form.name.endswith(ABOUT_A_POINT)

@@ -16,7 +16,14 @@ from hil.diagnosis.search.fit import Choice, JointFit, grid_choices
 from hil.diagnosis.search.rank import score_choices
 from hil.diagnosis.search.searcher import Searcher
 from hil.effects import Columns, Term
-from hil.effects.warming import ALL_ROWS, Rows, as_far_as_seen, is_about_a_point, is_since_start
+from hil.effects.warming import (
+    ALL_ROWS,
+    Rows,
+    as_far_as_seen,
+    follows_a_temperature,
+    is_about_a_point,
+    is_since_start,
+)
 
 
 def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> dict[str, float]:
@@ -47,7 +54,7 @@ def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice])
 
 def course_note(effect: str, column: str, log_odds: float) -> str:
     """What is said of an effect that follows the temperature of a column, of `courses_as_good`."""
-    bound = ", as far as it went on these rows" if _is_bounded(log_odds) else ""
+    bound = ", as far as it went on these rows" if _goes_no_further(log_odds) else ""
     return (
         f"{effect} follows {column}, and a course of the time since the start fits these rows as well (log odds {log_odds:.1f}): the"
         f" correction follows the temperature, which was measured{bound}; another warm-up tells the two apart"
@@ -71,11 +78,13 @@ def within_what_was_seen(
     """
     return fit.with_terms(
         [
-            as_far_as_seen(term, columns, rows) if _is_bounded(courses.get(term.effect.id, np.inf)) else term
+            as_far_as_seen(term, columns, rows)
+            if follows_a_temperature(term.form) and _goes_no_further(courses.get(term.effect.id, np.inf))
+            else term
             for term in fit.found
         ]
     )
 
 
-def _is_bounded(log_odds: float) -> bool:
+def _goes_no_further(log_odds: float) -> bool:
     return log_odds < policy().no_further

@@ -899,7 +899,9 @@ def test_an_offset_that_settles_is_no_wandering_beam() -> None:
 
 
 def test_a_temperature_that_the_time_replaces_as_well_corrects_no_more_than_was_seen() -> None:
-    """An offset that settles fits a motor's temperature; on fresh rows that moved, and the correction left 11.6 µm of 1.5."""
+    """An offset that settles fits a motor's temperature as well; on a campaign with a warmer motor the correction left 11.6 µm where
+    none leaves 1.5.
+    """
     found = outcome("strong", 805295)
     assert found["said"]["findings"][0]["effect"] == "thermal_drift"
     assert "as far as it went on these rows" in " ".join(found["said"]["notes"])
@@ -921,6 +923,20 @@ def test_only_a_temperature_that_the_time_replaces_nearly_as_well_is_bounded() -
         assert ("as far as it went on these rows" in said) is (log_odds < 2.5)
     first = within_what_was_seen(fit, {"thermal_drift": 2.0}, hot, np.array([True, False]))
     assert first.extended.error_um(columns) == pytest.approx([-12.0, -12.0]), "by the rows that were fitted alone"
+
+
+def test_beside_a_bounded_temperature_another_part_of_the_effect_is_left_as_it_is() -> None:
+    """Of a drift with two parts one follows the time, unlike along the travel: it has no temperature that could be bounded."""
+    known = {one.id: one for one in ALL}["thermal_drift"]
+    by_sensor = Term(known, Form(known.id, "temperature", ("temp_screw_c",)), (), (-2.0,), ((0.01,),))
+    travel = {"centre_mm": 100.0, "half_span_mm": 100.0}
+    form = Form(known.id, "warming since the start, unlike along the travel", ("time_s", "target_mm"), travel)
+    by_time = Term(known, form, (600.0,), (1.0, 0.5, 0.2), ())
+    model = Model(PitchTable((0.0,), (0.0,), (0.0,)), (by_sensor, by_time))
+    fit = JointFit(model, model, model, (by_sensor, by_time), 1.0, np.zeros(2))
+    columns = {"temp_screw_c": np.array([20.0, 23.0]), "time_s": np.array([0.0, 60.0]), "target_mm": np.zeros(2)}
+    bounded = within_what_was_seen(fit, {"thermal_drift": 1.0}, columns)
+    assert bounded.found == (as_far_as_seen(by_sensor, columns), by_time)
 
 
 def test_a_model_with_a_bound_is_no_cause_beside_rows_that_go_further() -> None:
