@@ -82,7 +82,7 @@ class Policy:
         2.5,
         LOG,
         "of such a temperature below which the correction goes no further than it was seen",
-        "12 to 1; of 10 machines of the study the 6 below it had an offset that settles, the 4 above followed a temperature",
+        "12 to 1, from 10 machines of the study; of 20 others below it 12 followed a temperature all the same (decision 0027)",
     )
     unseen: float = _number(1.0, LOG, "against a cause by a column that was not recorded", "set by hand")
     worst: float = _number(
