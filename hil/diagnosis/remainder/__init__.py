@@ -169,7 +169,9 @@ def _clearest_block(
     what the sizes of the rows alone make, with its probability in noise by itself; None and 1 where there is none.
     """
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
-    kinds = ((_smooth(columns, d), policy().block_fires_at), (_processes(time, x, d), policy().process_fires_at))
+    kinds = [(_smooth(columns, d), policy().block_fires_at), (_processes(time, x, None), policy().process_fires_at)]
+    if d is not None:
+        kinds.append((_processes(time, x, d), policy().directed_process_fires_at))
     best: list[tuple[float, Block, float]] = []
     for designs, limit in kinds:
         trials = (blocks.block(null, *one) for one in designs)
@@ -198,13 +200,11 @@ def _smooth(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tup
 
 
 def _processes(time: Variable | None, x: Variable | None, d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
-    """The same of a process in time that multiplies the direction, or a wave along the position, with the direction or without."""
+    """The same of a process in time, alone or times a wave along the position; where the direction is given, times that too."""
     if time is None:
         return
-    yield (time.name,), blocks.process_of(np.ones((len(time.u), 1)), time)
-    if d is not None:
-        yield (time.name, "direction"), blocks.process_of(d[:, None], time)
+    sign = np.ones(len(time.u)) if d is None else d
+    more = () if d is None else ("direction",)
+    yield (time.name, *more), blocks.process_of(sign[:, None], time)
     for wave in () if x is None else x.waves(x.periods(waves.FINE_POSITION)):
-        yield ("target_mm", time.name), blocks.process_of(wave.T, time)
-        if d is not None:
-            yield ("target_mm", time.name, "direction"), blocks.process_of(wave.T * d[:, None], time)
+        yield ("target_mm", time.name, *more), blocks.process_of(wave.T * sign[:, None], time)

@@ -5,7 +5,8 @@ tested as groups of the scan are, each on its own rows alone. Of rows at random 
 beyond six standard deviations than Student's t with three degrees of freedom has are no noise, whatever their signs (`gross_rows`).
 Smaller ones are known by their signs, which noise draws: given the sizes, every choice of signs is as likely. So a wave along the
 position on a few rows is compared with the mean of itself over all choices of signs. That ratio has the mean 1 in noise of any
-symmetric distribution, and so has its average over many waves; it exceeds 1 / p with a chance of p at most (Markov's inequality).
+symmetric distribution, and so has its average over many waves. The chance of as large an average is the share of choices of signs
+that reach it, of which some are drawn; it is at most the inverse of the average (Markov's inequality), so that most are not drawn.
 Other columns are not asked there: twenty rows do not carry a search over all of them.
 """
 
@@ -37,6 +38,10 @@ AMPLITUDES = (2.0, 3.0, 4.5)
 """Amplitudes of a wave on them, in standard deviations of the noise; sizes of residuals beyond the largest count as that."""
 AGAINST = (0.0, 0.15)
 """Share of the rows that are hit which have the other sign: a table bent by the rows that were hit turns some over."""
+DRAWS = 1999
+"""Choices of signs drawn: a chance of 0.005 is then known to a third of it."""
+WORTH_DRAWING = 5.0
+"""Average ratio from which the choices are drawn: of 16 machines of the study hit at random those of a chance below 0.01 have 7."""
 FAR, INSIDE = 6.0, 3.5
 """Robust standard deviations beyond which a row lies far off, and within which the rows are that the table is fitted to."""
 HEAVIEST = 0.0065
@@ -74,7 +79,7 @@ def every_so_many(null: Null, x: Variable, d: Floats | None) -> Block | None:
     design = waves[top] * (np.arange(n) % k == first)
     others = [-float(log10_probability(model, design[None].astype(np.float32))[0]) for model in null.nearly_as_good]
     score = min([float(scores[best, top]), *others]) - float(np.log10(scores.size))
-    if score < policy().scan_fires_at:
+    if score < policy().every_fires_at:
         return None
     directed = d is not None and top >= len(waves) // 2
     names = ("row_order", "target_mm", "direction") if directed else ("row_order", "target_mm")
@@ -140,15 +145,12 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
         return None
     z = np.clip(off / size, -AMPLITUDES[-1], AMPLITUDES[-1])
     signs, prior = _sign_waves(x, d)
-    trials, ratios = tuple(itertools.product(AMPLITUDES, SHARES, AGAINST)), []
-    for amplitude, share, against in trials:
-        wave = np.exp(amplitude * signs * z)
-        bare = share * np.exp(-0.5 * amplitude**2)
-        follows = (1.0 - against) * wave + against / wave
-        hit = np.log1p(bare * follows - share) - np.log1p(bare * np.cosh(amplitude * z) - share)
-        ratios.append(np.sum(hit, axis=1))
-    log_ratio = np.array(ratios)
-    probability = float(np.exp(min(np.log(len(ratios)) - logsumexp(log_ratio, b=prior), 0.0)))
+    trials = tuple(itertools.product(AMPLITUDES, SHARES, AGAINST))
+    log_ratio = _log_ratios(z[:, None], signs, trials)[:, :, 0]
+    average = float(logsumexp(log_ratio, b=prior)) - np.log(len(trials))
+    probability = min(float(np.exp(-average)), 1.0)
+    if average > np.log(WORTH_DRAWING):
+        probability = min(probability, _chance_by_signs(z, signs, prior, trials, average))
     if probability >= policy().false_hits:
         return None
     which, best = np.unravel_index(int(np.argmax(log_ratio + np.log(prior))), log_ratio.shape)
@@ -157,6 +159,32 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
     directed = d is not None and best >= len(signs) // 2
     rows = np.flatnonzero(odds > 1.0).astype(np.int64)
     return Hits(("target_mm", "direction") if directed else ("target_mm",), rows, probability) if len(rows) else None
+
+
+def _log_ratios(z: Floats, signs: Floats, trials: Sequence[tuple[float, float, float]]) -> Floats:
+    """Log likelihood of each trial's wave (k, n) on some rows over its mean over all choices of signs, for residuals z (n, m) in
+    standard deviations, which differ in their signs only, (trials, k, m).
+    """
+    size, sign = np.abs(z[:, 0]), np.sign(z)
+    out = np.empty((len(trials), len(signs), z.shape[1]))
+    for i, (amplitude, share, against) in enumerate(trials):
+        bare = share * np.exp(-0.5 * amplitude**2)
+        mean = np.log1p(bare * np.cosh(amplitude * size) - share)
+        wave = np.exp(amplitude * size)
+        along = np.log1p(bare * ((1.0 - against) * wave + against / wave) - share) - mean
+        opposite = np.log1p(bare * ((1.0 - against) / wave + against * wave) - share) - mean
+        out[i] = 0.5 * np.sum(along + opposite) + signs @ (0.5 * (along - opposite)[:, None] * sign)
+    return out
+
+
+def _chance_by_signs(
+    z: Floats, signs: Floats, prior: Floats, trials: Sequence[tuple[float, float, float]], average: float
+) -> float:
+    """Chance that the average ratio of residuals z (n,) with signs drawn anew is as large as their own, itself among the draws."""
+    drawn = np.random.default_rng(0).choice((-1.0, 1.0), size=(len(z), DRAWS))
+    each = [logsumexp(_log_ratios(z[:, None] * drawn, signs, [trial])[0], b=prior[:, None], axis=0) for trial in trials]
+    by_signs = logsumexp(np.array(each), axis=0) - np.log(len(trials))
+    return float((1 + np.sum(by_signs >= average)) / (1 + DRAWS))
 
 
 def _sign_waves(x: Variable, d: Floats | None) -> tuple[Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -447,6 +448,24 @@ def test_rows_hit_again_and_again_are_noticed_at_half_the_noise() -> None:
     found = rest_of(workshop(31, every_seventh_row, ratio=0.6, noise_um=NOISE_UM)[0])
     assert [set(one.columns) - {"direction"} for one in found] == [{"row_order", "target_mm"}]
     assert found[0].rms.value == pytest.approx(0.6 * NOISE_UM, rel=0.3)
+
+
+def test_rows_hit_at_random_are_noticed_at_the_chance_that_is_stated() -> None:
+    """One row in ten is four standard deviations off beyond the middle: the bound of Markov's inequality takes 5 of these 20 for
+    a cause, the share of signs drawn anew 13, and of pure noise none.
+    """
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
+    (x,) = (variable for variable in variables(campaign) if variable.name == "target_mm")
+    taken = {0.0: 0, 4.0: 0}
+    for seed, size in itertools.product(range(20), taken):
+        rng = np.random.default_rng([seed, 15])
+        hit = (rng.random(len(campaign)) < 0.1) & (campaign.x > np.median(campaign.x))
+        y = NOISE_UM * (rng.normal(size=len(campaign)) + size * hit)
+        null = Null.of(searcher.linear, y, searcher.always, start_noise(campaign))
+        taken[size] += hit_rows(x, campaign.d, *beside_the_bulk(null, y)) is not None
+    assert taken[4.0] >= 11
+    assert taken[0.0] == 0
 
 
 @pytest.mark.parametrize("draws", ["signs", "cauchy"])
