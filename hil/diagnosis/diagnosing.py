@@ -123,6 +123,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         or is_unsure(f, findings, campaign)
         or f.is_implausible
         or _is_mostly_in_table(f, chosen, campaign)
+        or (left_out.is_worse and f.term.effect.static)
     }
     doubted |= required | beaten_by_runs(chosen)
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()

@@ -70,6 +70,13 @@ class HeldOut:
         worst = max(range(len(squares)), key=lambda i: float(np.mean(squares[i])))
         return float(np.sqrt(np.mean(np.concatenate([one for i, one in enumerate(squares) if i != worst]))))
 
+    @property
+    def is_worse(self) -> bool:
+        """Whether the rows left out are worse with what was found than without, all folds together: then nothing that depends on
+        position and direction alone, and so is there in every run, can be sure.
+        """
+        return bool(np.sum(self.setup**2) > np.sum(self.before**2))
+
 
 def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
     """Fold of each row: its run, or a group of neighbouring runs where there are many; blocks of rows for a single run."""
