@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 from hil.app.terminal.main import build_parser
 
@@ -23,6 +26,23 @@ def test_the_script_in_the_pages_is_the_shipped_one() -> None:
 def test_the_two_commands() -> None:
     assert re.search(r"^sh hil/bootstrap\.sh hil demo\b", README, re.MULTILINE)
     assert re.search(r"^sh hil/bootstrap\.sh pytest\b", README, re.MULTILINE)
+
+
+def test_the_number_of_tests_is_about_what_it_says(request: pytest.FixtureRequest) -> None:
+    """Counted in this process where it runs them all as the README's command does, else listed by one of its own."""
+    said = re.search(r"tests that passed, about (\d+)", README)
+    assert said is not None
+    config = request.config
+    asked = config.args, config.getoption("markexpr"), config.getoption("keyword"), config.getoption("lf")
+    if asked == (config.getini("testpaths"), "not slow", "", False):
+        count = len(request.session.items)
+    else:
+        words = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-n", "0", "-p", "no:cacheprovider"]
+        listed = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True).stdout
+        found = re.search(r"^(\d+)/\d+ tests collected", listed, re.MULTILINE)
+        assert found is not None, listed[-500:]
+        count = int(found[1])
+    assert 0.9 < count / int(said[1]) < 1.1
 
 
 def test_it_is_short() -> None:
