@@ -33,7 +33,7 @@ def test_the_number_of_tests_is_about_what_it_says(request: pytest.FixtureReques
     said = re.search(r"tests that passed, about (\d+)", README)
     assert said is not None
     config = request.config
-    asked = config.args, config.getoption("markexpr"), config.getoption("keyword"), config.getoption("lf")
+    asked = config.args, config.getoption("markexpr"), config.getoption("keyword"), config.getoption("lf", False)
     if asked == (config.getini("testpaths"), "not slow", "", False):
         count = len(request.session.items)
     else:

@@ -165,8 +165,8 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
 def _clearest_block(
     null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None
 ) -> tuple[Block | None, float]:
-    """The block of highest evidence, of one column, of two or of a process, that is beyond noise under every noise model and beyond
-    what the sizes of the rows alone make, with its probability in noise by itself; None and 1 where there is none.
+    """The block of one column, of two or of a process that is farthest beyond the limit of its kind, under every noise model and
+    beyond what the sizes of the rows alone make, with its probability in noise by itself; None and 1 where there is none.
     """
     time = next((v for v in columns if v.name == null.linear.campaign.survey.time_column and not v.levels), None)
     kinds = [(_smooth(columns, d), policy().block_fires_at), (_processes(time, x, None), policy().process_fires_at)]
@@ -200,7 +200,7 @@ def _smooth(columns: Sequence[Variable], d: Floats | None) -> Iterator[tuple[tup
 
 
 def _processes(time: Variable | None, x: Variable | None, d: Floats | None) -> Iterator[tuple[tuple[str, ...], Floats]]:
-    """The same of a process in time, alone or times a wave along the position; where the direction is given, times that too."""
+    """Names and design of a process in time, alone and times each wave along the position; all times the direction d where given."""
     if time is None:
         return
     sign = np.ones(len(time.u)) if d is None else d

@@ -6,7 +6,8 @@ beyond six standard deviations than Student's t with three degrees of freedom ha
 Smaller ones are known by their signs, which noise draws: given the sizes, every choice of signs is as likely. So a wave along the
 position on a few rows is compared with the mean of itself over all choices of signs. That ratio has the mean 1 in noise of any
 symmetric distribution, and so has its average over many waves. The chance of as large an average is the share of choices of signs
-that reach it, of which some are drawn; it is at most the inverse of the average (Markov's inequality), so that most are not drawn.
+that reach it, of which DRAWS are drawn; it is at most the inverse of the average (Markov's inequality), so that most are not drawn.
+That is exact for independent rows; beside a table it is nearly so.
 Other columns are not asked there: twenty rows do not carry a search over all of them.
 """
 
@@ -146,11 +147,11 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
     z = np.clip(off / size, -AMPLITUDES[-1], AMPLITUDES[-1])
     signs, prior = _sign_waves(x, d)
     trials = tuple(itertools.product(AMPLITUDES, SHARES, AGAINST))
-    log_ratio = _log_ratios(z[:, None], signs, trials)[:, :, 0]
+    log_ratio = log_ratios(z[:, None], signs, trials)[:, :, 0]
     average = float(logsumexp(log_ratio, b=prior)) - np.log(len(trials))
     probability = min(float(np.exp(-average)), 1.0)
     if average > np.log(WORTH_DRAWING):
-        probability = min(probability, _chance_by_signs(z, signs, prior, trials, average))
+        probability = min(probability, chance_by_signs(z, signs, prior, trials, average))
     if probability >= policy().false_hits:
         return None
     which, best = np.unravel_index(int(np.argmax(log_ratio + np.log(prior))), log_ratio.shape)
@@ -161,9 +162,10 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
     return Hits(("target_mm", "direction") if directed else ("target_mm",), rows, probability) if len(rows) else None
 
 
-def _log_ratios(z: Floats, signs: Floats, trials: Sequence[tuple[float, float, float]]) -> Floats:
-    """Log likelihood of each trial's wave (k, n) on some rows over its mean over all choices of signs, for residuals z (n, m) in
-    standard deviations, which differ in their signs only, (trials, k, m).
+def log_ratios(z: Floats, signs: Floats, trials: Sequence[tuple[float, float, float]]) -> Floats:
+    """Log likelihood of each wave of signs (k, n) on some rows over its mean over all choices of the rows' signs, for every trial, an
+    (amplitude, share of the rows, share against), and for residuals z (n, m) in standard deviations that differ in their signs
+    only, (trials, k, m).
     """
     size, sign = np.abs(z[:, 0]), np.sign(z)
     out = np.empty((len(trials), len(signs), z.shape[1]))
@@ -177,14 +179,15 @@ def _log_ratios(z: Floats, signs: Floats, trials: Sequence[tuple[float, float, f
     return out
 
 
-def _chance_by_signs(
+def chance_by_signs(
     z: Floats, signs: Floats, prior: Floats, trials: Sequence[tuple[float, float, float]], average: float
 ) -> float:
     """Chance that the average ratio of residuals z (n,) with signs drawn anew is as large as their own, itself among the draws."""
     drawn = np.random.default_rng(0).choice((-1.0, 1.0), size=(len(z), DRAWS))
-    each = [logsumexp(_log_ratios(z[:, None] * drawn, signs, [trial])[0], b=prior[:, None], axis=0) for trial in trials]
+    each = [logsumexp(log_ratios(z[:, None] * drawn, signs, [trial])[0], b=prior[:, None], axis=0) for trial in trials]
     by_signs = logsumexp(np.array(each), axis=0) - np.log(len(trials))
-    return float((1 + np.sum(by_signs >= average)) / (1 + DRAWS))
+    rounding = 1e-9
+    return float((1 + np.sum(by_signs >= average - rounding)) / (1 + DRAWS))
 
 
 def _sign_waves(x: Variable, d: Floats | None) -> tuple[Floats, Floats]:

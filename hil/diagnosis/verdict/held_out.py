@@ -28,12 +28,15 @@ from hil.effects import Action
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+QUARTERS = "leave-one-quarter-out"
 MOST_FOLDS = 10
 """Most folds; more runs are grouped."""
 LEAST_ROWS = 3
 """Fewest rows that count as a few."""
 BEYOND_OUTLIERS = 2.0
 """Size of an effect, over the limit of outliers, that a few rows of noise do not reach together."""
+GROSS = 10.0
+"""Robust standard deviations of a row left out beside the table alone beyond which it says nothing of an effect."""
 ONCE = frozenset({"datum_step", "beam_drift"})
 """Effects that occur once, and so cannot improve a left-out run."""
 
@@ -72,17 +75,21 @@ class HeldOut:
 
     @property
     def is_worse(self) -> bool:
-        """Whether the rows left out are worse with what was found than without, all folds together: then nothing that depends on
-        position and direction alone, and so is there in every run, can be sure.
+        """Whether the runs left out are worse with what was chosen without each of them than with the table alone, all together: then
+        nothing that depends on position and direction alone, and so is there in every run, can be sure. Parts of one run are no runs.
         """
-        return bool(np.sum(self.setup**2) > np.sum(self.before**2))
+        if self.how == QUARTERS:
+            return False
+        usual = np.abs(self.before) <= GROSS * 1.4826 * float(np.median(np.abs(self.before)))
+        with_it, without = (float(np.sum(values[usual] ** 2)) for values in (self.setup, self.before))
+        return bool(with_it > policy().worse_left_out ** 2 * without)
 
 
 def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
     """Fold of each row: its run, or a group of neighbouring runs where there are many; blocks of rows for a single run."""
     runs = int(np.max(run)) + 1
     if runs == 1:
-        return (np.arange(len(run)) * min(4, len(run)) // len(run)).astype(np.int64), "leave-one-quarter-out"
+        return (np.arange(len(run)) * min(4, len(run)) // len(run)).astype(np.int64), QUARTERS
     if runs <= MOST_FOLDS:
         return run, "leave-one-run-out"
     return (run * MOST_FOLDS // runs).astype(np.int64), "leave-runs-out in groups"

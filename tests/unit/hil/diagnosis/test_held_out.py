@@ -133,3 +133,20 @@ def test_the_worst_run_left_out_is_not_what_usually_remains() -> None:
     none = np.zeros(4)
     left = HeldOut(none, none, none, np.array([1.0, 1.0, 9.0, 9.0]), {}, none, none, none, np.array([0, 0, 1, 1]), "")
     assert left.usual_um == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("how", "before", "setup", "worse"),
+    [
+        ("leave-one-run-out", [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 1.3], False),
+        ("leave-one-run-out", [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 3.0], True),
+        ("leave-one-run-out", [1.0, 1.0, 1.0, 2000.0], [1.2, 1.2, 1.2, 1990.0], True),  # a row far off decides nothing
+        ("leave-one-quarter-out", [1.0, 1.0, 1.0, 1.0], [1.0, 1.0, 1.0, 3.0], False),  # no run was left out
+    ],
+)
+def test_runs_left_out_that_are_worse_by_a_tenth(
+    how: str, before: list[float], setup: list[float], worse: bool
+) -> None:
+    none, fold = np.zeros(4), np.arange(4)
+    left = HeldOut(np.array(before), none, none, np.array(setup), {}, none, none, none, fold, how)
+    assert left.is_worse is worse

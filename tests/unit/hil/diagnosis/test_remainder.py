@@ -22,7 +22,7 @@ from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.evidence import Extra
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
-from hil.diagnosis.remainder import LeftOver, carriers, is_part_of, left_over
+from hil.diagnosis.remainder import LeftOver, carriers, hits, is_part_of, left_over
 from hil.diagnosis.remainder.block import Block, block, design_of, share_by_signs
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
@@ -458,7 +458,7 @@ def test_rows_hit_again_and_again_are_noticed_at_half_the_noise() -> None:
     assert found[0].rms.value == pytest.approx(0.6 * NOISE_UM, rel=0.3)
 
 
-def test_rows_hit_at_random_are_noticed_at_the_chance_that_is_stated() -> None:
+def test_rows_hit_at_random_are_noticed_without_a_column_that_announces_them() -> None:
     """One row in ten is four standard deviations off beyond the middle: the bound of Markov's inequality takes 5 of these 20 for
     a cause, the share of signs drawn anew 13, and of pure noise none.
     """
@@ -474,6 +474,23 @@ def test_rows_hit_at_random_are_noticed_at_the_chance_that_is_stated() -> None:
         taken[size] += hit_rows(x, campaign.d, *beside_the_bulk(null, y)) is not None
     assert taken[4.0] >= 11
     assert taken[0.0] == 0
+
+
+def test_thechance_by_signs_is_that_of_all_choices() -> None:
+    """Ten rows, all 1024 choices of their signs counted: the mean of the average ratio is 1, the share as large the chance."""
+    size = np.abs(np.random.default_rng(3).normal(size=10)) * 2.0
+    every = np.array(list(itertools.product((-1.0, 1.0), repeat=10))).T
+    signs = np.sign(np.sin(np.outer([0.5, 1.0, 2.0], np.arange(10.0)) + 0.3))
+    prior, trials = np.full(3, 1.0 / 3.0), [(3.0, 0.1, 0.0), (2.0, 0.3, 0.15)]
+    ratio = np.mean(
+        np.sum(np.exp(hits.log_ratios(size[:, None] * every, signs, trials)) * prior[:, None], axis=1), axis=0
+    )
+    assert np.mean(ratio) == pytest.approx(1.0, rel=1e-12)
+    for rank in (1023, 1000, 900):
+        which = int(np.argsort(ratio, kind="stable")[rank])
+        z, share = size * every[:, which], float(np.mean(ratio >= ratio[which] * (1.0 - 1e-9)))
+        chance = hits.chance_by_signs(z, signs, prior, trials, float(np.log(ratio[which])))
+        assert chance == pytest.approx(share, abs=4.0 * np.sqrt(share / hits.DRAWS) + 1.0 / hits.DRAWS)
 
 
 @pytest.mark.parametrize("draws", ["signs", "cauchy"])
