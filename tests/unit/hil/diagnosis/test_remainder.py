@@ -478,6 +478,7 @@ def test_rows_hit_at_random_are_noticed_without_a_column_that_announces_them() -
 
 def test_thechance_by_signs_is_that_of_all_choices() -> None:
     """Ten rows, all 1024 choices of their signs counted: the mean of the average ratio is 1, the share as large the chance."""
+    monkeypatch.setattr(hits, "DRAWS", 100_000)
     size = np.abs(np.random.default_rng(3).normal(size=10)) * 2.0
     every = np.array(list(itertools.product((-1.0, 1.0), repeat=10))).T
     signs = np.sign(np.sin(np.outer([0.5, 1.0, 2.0], np.arange(10.0)) + 0.3))
