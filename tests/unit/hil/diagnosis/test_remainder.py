@@ -476,7 +476,7 @@ def test_rows_hit_at_random_are_noticed_without_a_column_that_announces_them() -
     assert taken[0.0] == 0
 
 
-def test_thechance_by_signs_is_that_of_all_choices() -> None:
+def test_the_chance_by_signs_is_that_of_all_choices(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten rows, all 1024 choices of their signs counted: the mean of the average ratio is 1, the share as large the chance."""
     monkeypatch.setattr(hits, "DRAWS", 100_000)
     size = np.abs(np.random.default_rng(3).normal(size=10)) * 2.0
