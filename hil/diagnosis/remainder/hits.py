@@ -147,7 +147,7 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
     z = np.clip(off / size, -AMPLITUDES[-1], AMPLITUDES[-1])
     signs, prior = _sign_waves(x, d)
     trials = tuple(itertools.product(AMPLITUDES, SHARES, AGAINST))
-    log_ratio = log_ratios(z[:, None], signs, trials)[:, :, 0]
+    log_ratio = log_ratios(np.abs(z), np.sign(z)[:, None], signs, trials)[:, :, 0]
     average = float(logsumexp(log_ratio, b=prior)) - np.log(len(trials))
     probability = min(float(np.exp(-average)), 1.0)
     if average > np.log(WORTH_DRAWING):
@@ -162,29 +162,29 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
     return Hits(("target_mm", "direction") if directed else ("target_mm",), rows, probability) if len(rows) else None
 
 
-def log_ratios(z: Floats, signs: Floats, trials: Sequence[tuple[float, float, float]]) -> Floats:
-    """Log likelihood of each wave of signs (k, n) on some rows over its mean over all choices of the rows' signs, for every trial, an
-    (amplitude, share of the rows, share against), and for residuals z (n, m) in standard deviations that differ in their signs
-    only, (trials, k, m).
+def log_ratios(size: Floats, sign: Floats, waves: Floats, trials: Sequence[tuple[float, float, float]]) -> Floats:
+    """Log likelihood of each wave of ±1 (k, n) on some rows over its mean over all choices of the rows' signs, (trials, k, m).
+
+    size: of the residuals in standard deviations, (n,); sign: m choices of their signs, (n, m); a trial is the amplitude, the share
+    of the rows that are hit, and the share of these that have the other sign
     """
-    size, sign = np.abs(z[:, 0]), np.sign(z)
-    out = np.empty((len(trials), len(signs), z.shape[1]))
+    out = np.empty((len(trials), len(waves), sign.shape[1]))
     for i, (amplitude, share, against) in enumerate(trials):
         bare = share * np.exp(-0.5 * amplitude**2)
         mean = np.log1p(bare * np.cosh(amplitude * size) - share)
         wave = np.exp(amplitude * size)
         along = np.log1p(bare * ((1.0 - against) * wave + against / wave) - share) - mean
         opposite = np.log1p(bare * ((1.0 - against) / wave + against * wave) - share) - mean
-        out[i] = 0.5 * np.sum(along + opposite) + signs @ (0.5 * (along - opposite)[:, None] * sign)
+        out[i] = 0.5 * np.sum(along + opposite) + waves @ (0.5 * (along - opposite)[:, None] * sign)
     return out
 
 
 def chance_by_signs(
-    z: Floats, signs: Floats, prior: Floats, trials: Sequence[tuple[float, float, float]], average: float
+    z: Floats, waves: Floats, prior: Floats, trials: Sequence[tuple[float, float, float]], average: float
 ) -> float:
     """Chance that the average ratio of residuals z (n,) with signs drawn anew is as large as their own, itself among the draws."""
-    drawn = np.random.default_rng(0).choice((-1.0, 1.0), size=(len(z), DRAWS))
-    each = [logsumexp(log_ratios(z[:, None] * drawn, signs, [trial])[0], b=prior[:, None], axis=0) for trial in trials]
+    drawn = np.sign(z)[:, None] * np.random.default_rng(0).choice((-1.0, 1.0), size=(len(z), DRAWS))
+    each = [logsumexp(log_ratios(np.abs(z), drawn, waves, [trial])[0], b=prior[:, None], axis=0) for trial in trials]
     by_signs = logsumexp(np.array(each), axis=0) - np.log(len(trials))
     rounding = 1e-9
     return float((1 + np.sum(by_signs >= average - rounding)) / (1 + DRAWS))

@@ -483,9 +483,7 @@ def test_the_chance_by_signs_is_that_of_all_choices(monkeypatch: pytest.MonkeyPa
     every = np.array(list(itertools.product((-1.0, 1.0), repeat=10))).T
     signs = np.sign(np.sin(np.outer([0.5, 1.0, 2.0], np.arange(10.0)) + 0.3))
     prior, trials = np.full(3, 1.0 / 3.0), [(3.0, 0.1, 0.0), (2.0, 0.3, 0.15)]
-    ratio = np.mean(
-        np.sum(np.exp(hits.log_ratios(size[:, None] * every, signs, trials)) * prior[:, None], axis=1), axis=0
-    )
+    ratio = np.mean(np.sum(np.exp(hits.log_ratios(size, every, signs, trials)) * prior[:, None], axis=1), axis=0)
     assert np.mean(ratio) == pytest.approx(1.0, rel=1e-12)
     for rank in (1023, 1000, 900):
         which = int(np.argsort(ratio, kind="stable")[rank])
