@@ -15,7 +15,7 @@ from hil.calibration.explore import Exploration
 from hil.calibration.in_motion import InMotion
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
-from hil.diagnosis.stored import read_stored, sources
+from hil.diagnosis.stored import can_be_held_out, read_stored, sources
 
 Points = tuple[tuple[float, float], ...]
 SIGNS = {1: "+", -1: "−"}
@@ -106,12 +106,6 @@ def diagnosis_screen(axis: AxisConfig, key: str = "") -> DiagnosisScreen:
     chosen = next((one for one in choices if one.key == key), by_itself)
     shown = None if chosen is None or not chosen.diagnosis.exists() else read_shown(chosen)
     return DiagnosisScreen(choices, chosen, shown, unfinished_loop(folder), stored_loop(folder))
-
-
-def can_be_held_out(how: object) -> bool:
-    """Whether rows left out in this way are predicted within what was measured. Quarters of a single run are not: the model has no row
-    near them, and its figures there say nothing of the axis."""
-    return isinstance(how, str) and "quarter" not in how
 
 
 def read_shown(of: Measurement) -> ShownDiagnosis:

@@ -22,13 +22,13 @@ from hil.diagnosis.search.rank import refine
 from hil.diagnosis.search.searcher import LIGHT, ConditionalSearch, Searcher
 from hil.diagnosis.search.select import Selected
 from hil.diagnosis.search.structure_estimate import structure_estimates
+from hil.diagnosis.stored import can_be_held_out
 from hil.diagnosis.verdict.courses import courses_as_good, within_what_was_seen
 from hil.effects import Action
 
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-QUARTERS = "leave-one-quarter-out"
 MOST_FOLDS = 10
 """Most folds; more runs are grouped."""
 LEAST_ROWS = 3
@@ -78,7 +78,7 @@ class HeldOut:
         """Whether the runs left out are worse with what was chosen without each of them than with the table alone, all together: then
         nothing that depends on position and direction alone, and so is there in every run, can be sure. Parts of one run are no runs.
         """
-        if self.how == QUARTERS:
+        if not can_be_held_out(self.how):
             return False
         usual = np.abs(self.before) <= GROSS * 1.4826 * float(np.median(np.abs(self.before)))
         with_it, without = (float(np.sum(values[usual] ** 2)) for values in (self.setup, self.before))
@@ -89,7 +89,7 @@ def folds(run: NDArray[np.int64]) -> tuple[NDArray[np.int64], str]:
     """Fold of each row: its run, or a group of neighbouring runs where there are many; blocks of rows for a single run."""
     runs = int(np.max(run)) + 1
     if runs == 1:
-        return (np.arange(len(run)) * min(4, len(run)) // len(run)).astype(np.int64), QUARTERS
+        return (np.arange(len(run)) * min(4, len(run)) // len(run)).astype(np.int64), "leave-one-quarter-out"
     if runs <= MOST_FOLDS:
         return run, "leave-one-run-out"
     return (run * MOST_FOLDS // runs).astype(np.int64), "leave-runs-out in groups"
