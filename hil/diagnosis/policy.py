@@ -70,8 +70,14 @@ class Policy:
     replace: float = _number(
         6.0,
         LOG,
-        "by which a structure of other columns, or a pair of slow effects, must exceed a term",
+        "by which a structure of other columns, or a pair of effects, must exceed a term",
         "400 to 1; of 22 tuning machines with one slow cause no pair came beyond 2",
+    )
+    pair_of_none: float = _number(
+        12.0,
+        LOG,
+        "by which a pair of effects must exceed none, where neither was found by itself",
+        "160 000 to 1: some 50 000 pairs are tried; of 500 machines without a cause none came so far",
     )
     beyond: float = _number(6.0, LOG, "of a strong memory of the rows against that of noise", "400 to 1")
     likely: float = _number(2.0, LOG, "against none from which an unproven effect is considered", "7 to 1")

@@ -15,18 +15,16 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.diagnosis.noise.evidence import Noise, bayes_factor
+from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.policy import policy
-from hil.diagnosis.search.candidates import Blocks
 from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.search.pairs import best_pairs
 from hil.diagnosis.search.rank import Ranked, judged, rank, settled
 from hil.diagnosis.search.searcher import Searcher
 
 MOST_TERMS = 5
 """Most terms that one search adds."""
 EXCHANGES = 2
-PAIRS = 6
-"""Pairs of slow effects that are refined."""
 
 
 @dataclass(frozen=True)
@@ -61,20 +59,20 @@ class Judge(Protocol):
         """Whether an effect of this gain at a grid point may become significant by refinement."""
 
 
-def is_noise(searcher: Searcher, choice: Choice, noise: Noise) -> bool:
-    """Whether an effect that resembles noise is too small to be distinguished from it."""
+def is_noise(searcher: Searcher, chosen: Sequence[Choice], choice: Choice, noise: Noise) -> bool:
+    """Whether an effect that resembles noise is, beside those chosen, too small to be distinguished from it."""
     least = choice.effect.least_over_noise
     if least == 0.0:
         return False
-    fit = searcher.fit([choice], noise, uncertain=False)
-    rms = float(np.std(fit.found[0].error_um(searcher.linear.campaign.columns)))
+    fit = searcher.fit([*chosen, choice], noise, uncertain=False)
+    rms = float(np.std(fit.found[-1].error_um(searcher.linear.campaign.columns)))
     return rms < least * fit.white_um * math.hypot(1.0, noise.ar)
 
 
 def search(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice] = ()) -> Selection:
-    """Forward selection with exchange, from some choices and the noise model with them; then all pairs of slow effects compete."""
+    """Forward selection with exchange, from some choices and the noise model with them; then pairs of effects compete."""
     found = _stepwise(searcher, noise, judge, start)
-    return slow_pair(searcher, found, len(start)) if searcher.effort.correlations else found
+    return with_pair(searcher, found, len(start)) if searcher.effort.correlations else found
 
 
 def _stepwise(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Choice]) -> Selection:
@@ -94,27 +92,30 @@ def _stepwise(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Ch
     # several terms of one effect are not several effects, unless a machine has that effect more than once
     several = len(set(map(_cause, other.choices))) > len(set(map(_cause, found.choices)))
     worth, _ = searcher.profiled_evidence(found.choices, found.noise)
-    if several and searcher.profiled_evidence(other.choices, other.noise)[0] > worth:
+    least = worth + policy().slight * (len(other.choices) - len(found.choices))
+    if several and searcher.profiled_evidence(other.choices, other.noise)[0] > least:
         more = _forward(searcher, other.noise, judge, other.choices)
         return replace(more, stages=(*other.stages, *more.stages))
     searcher.restore(*kept)
     return found
 
 
-def slow_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection:
-    """The selection with the best pair of slow effects in place of those found, where that fits better.
+def with_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection:
+    """The selection with the best pair of effects in place of those found that vary, where that fits better.
 
-    Temperatures and air change together, so that one effect about a wrong place, by a wrong sensor, stands for two of them, and a
-    selection step by step does not leave it again. fixed: choices at the beginning that are not replaced
+    Step by step two causes are missed that show only together: noise with memory takes up either while the other is not in the fit,
+    or one effect about a wrong place, by a wrong sensor, stands for both. Beside more than two effects only the slow ones are
+    replaced. fixed: choices at the beginning that are not replaced
     """
-    mine = [choice for choice in found.choices[fixed:] if choice.effect.slow]
-    if not mine:
+    varying = [choice for choice in found.choices[fixed:] if not choice.effect.static]
+    mine = varying if len(varying) <= 2 else [choice for choice in varying if choice.effect.slow]
+    if varying and not mine:
         return found
     rest = [choice for choice in found.choices if choice not in mine]
     worth = judged(searcher, found.choices, found.noise)
-    least = worth + (policy().exchange if len(mine) > 1 else policy().replace)
+    least = worth + (policy().pair_of_none, policy().replace, policy().exchange)[min(len(mine), 2)]
     best: tuple[float, list[Choice]] | None = None
-    for pair in _best_pairs(searcher, rest, found.noise, least - policy().refinement):
+    for pair in best_pairs(searcher, rest, found.noise, least - policy().refinement):
         trial = settled(searcher, [*rest, *pair], found.noise, columns=False)
         if _is_implausible(
             searcher, trial, found.noise
@@ -140,50 +141,6 @@ def _is_implausible(searcher: Searcher, choices: Sequence[Choice], noise: Noise)
     return any(term.effect.slow and term.effect.implausible(term) for term in fit.found)
 
 
-def _best_pairs(searcher: Searcher, rest: Sequence[Choice], noise: Noise, least: float) -> list[tuple[Choice, Choice]]:
-    """The pairs of different slow effects of highest evidence beside some choices, at grid points, one of each two forms, of more than
-    a least evidence.
-    """
-    slow = [choice for choice in searcher.candidates.choices if choice.effect.slow]
-    projection = searcher.projection(noise, searcher.extra(rest))
-    blocks = Blocks.of_choices(slow, searcher.linear.campaign)
-    normal, b = projection.normal(blocks.columns)
-    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    normal, b = normal / np.outer(size, size) + 1e-9 * np.eye(len(b)), b / size
-    kinds = {name: k for k, name in enumerate(dict.fromkeys(choice.effect.id for choice in slow))}
-    kind = np.array([kinds[choice.effect.id] for choice in slow])
-    prior = np.array([choice.log_prior for choice in slow])
-    first, second = np.triu_indices(len(slow), 1)
-    other = kind[first] != kind[second]
-    first, second = first[other], second[other]
-    value = np.full(len(first), -np.inf)
-    for widths in set(zip(blocks.width[first].tolist(), blocks.width[second].tolist(), strict=True)):
-        which = np.flatnonzero((blocks.width[first] == widths[0]) & (blocks.width[second] == widths[1]))
-        index = np.hstack(
-            [
-                blocks.first[one[which]][:, None] + np.arange(width)
-                for one, width in ((first, widths[0]), (second, widths[1]))
-            ]
-        )
-        right = b[index]
-        solved = np.linalg.solve(normal[index[:, :, None], index[:, None, :]], right[:, :, None])[:, :, 0]
-        explained = np.sum(right * solved, axis=1)
-        rows = projection.rows
-        value[which] = bayes_factor(explained, np.asarray(projection.rss), projection.dof, index.shape[1], rows)
-    value += prior[first] + prior[second] + searcher.evidence(rest, noise)
-    found: dict[tuple[str, ...], tuple[Choice, Choice]] = {}
-    for at in np.argsort(-value):
-        if value[at] <= least or len(found) == PAIRS:
-            break
-        pair = slow[first[at]], slow[second[at]]
-        found.setdefault((*_form_of(pair[0]), *_form_of(pair[1])), pair)
-    return list(found.values())
-
-
-def _form_of(choice: Choice) -> tuple[str, ...]:
-    return (choice.form.name, *choice.form.inputs)
-
-
 def _cause(choice: Choice) -> tuple[object, ...]:
     return (choice.effect.id, choice.theta if choice.effect.several else ())
 
@@ -200,7 +157,7 @@ def _forward(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Cho
             stages.append(stage)
             break
         top = ranking[0]
-        if is_noise(searcher, top.choice, top.noise):
+        if is_noise(searcher, chosen, top.choice, top.noise):
             searcher.add_nuisance(top.choice.extra(searcher.linear.campaign))
             continue
         stages.append(replace(stage, taken=True))

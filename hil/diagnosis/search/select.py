@@ -227,12 +227,14 @@ def _groups(chosen: Sequence[Choice], fixed: int) -> list[tuple[int, ...]]:
 
 
 def _is_shape(searcher: Searcher, hit: Hit, chosen: Sequence[Choice], noise: Noise) -> bool:
-    """Whether the structure is a small misfit of a chosen effect's own form."""
-    columns = set(hit.structure.columns) - {"target_mm", "direction"}
+    """Whether the structure is a small misfit of a chosen effect's own form, or the rest of a reading that wanders."""
+    columns, survey = set(hit.structure.columns) - {"target_mm", "direction"}, searcher.linear.campaign.survey
+    if any(is_of_a_wander(hit.structure.columns, [choice], survey) for choice in chosen):
+        return True
     rms = structure_rms(searcher, hit, chosen, noise)
     for choice, size in zip(chosen, _sizes(searcher, chosen, noise), strict=True):
         own = set(choice.form.inputs) - {"target_mm", "direction"}
-        if columns <= own | {searcher.linear.campaign.survey.time_column} and rms < policy().shape * size:
+        if columns <= own | {survey.time_column} and rms < policy().shape * size:
             return True
     return False
 
