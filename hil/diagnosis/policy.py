@@ -65,7 +65,12 @@ class Policy:
         "by which another effect must be better to take the place",
         "set by hand, so that two do not swap for ever",
     )
-    slight: float = _number(3.0, LOG, "of a term beside terms that were taken after it", "20 to 1")
+    slight: float = _number(
+        3.0,
+        LOG,
+        "of a term beside terms that were taken after it, and of each one that several effects have more than a free course of time",
+        "20 to 1",
+    )
     keep: float = _number(6.0, LOG, "of a term beside an unexplained structure", "400 to 1")
     replace: float = _number(
         6.0,

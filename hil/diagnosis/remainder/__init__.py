@@ -75,7 +75,7 @@ def left_over(
         best: Block | None = None
         chance = 10.0**-scanned.score
         if scanned.score < policy().scan_fires_at:
-            best, chance = _clearest_block(null, waves.variables(campaign, signed=True), x, d)
+            best, chance = clearest_block(null, waves.variables(campaign, signed=True), x, d)
         carrier: Carried | None = None
         if scanned.score >= policy().scan_fires_at or best is not None:
             carrier = carried(null, columns, scanned, best, d)
@@ -162,7 +162,7 @@ def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without
     return extra
 
 
-def _clearest_block(
+def clearest_block(
     null: Null, columns: Sequence[Variable], x: Variable | None, d: Floats | None
 ) -> tuple[Block | None, float]:
     """The block of one column, of two or of a process that is farthest beyond the limit of its kind, under every noise model and

@@ -22,7 +22,8 @@ from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.evidence import Extra
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.policy import Policy, in_force, policy
-from hil.diagnosis.remainder import LeftOver, carriers, hits, is_part_of, left_over
+from hil.diagnosis.remainder import LeftOver, carriers, clearest_block, hits, is_part_of, left_over
+from hil.diagnosis.remainder import block as blocks
 from hil.diagnosis.remainder.block import Block, block, design_of, share_by_signs
 from hil.diagnosis.remainder.hits import beside_the_bulk, gross_rows, hit_rows
 from hil.diagnosis.remainder.null import Null, row_scale
@@ -456,6 +457,43 @@ def test_rows_hit_again_and_again_are_noticed_at_half_the_noise() -> None:
     found = rest_of(workshop(31, every_seventh_row, ratio=0.6, noise_um=NOISE_UM)[0])
     assert [set(one.columns) - {"direction"} for one in found] == [{"row_order", "target_mm"}]
     assert found[0].rms.value == pytest.approx(0.6 * NOISE_UM, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "directed", "limit"),
+    [
+        ("smooth", False, "block_fires_at"),
+        ("smooth", True, "block_fires_at"),
+        ("process", False, "process_fires_at"),
+        ("process", True, "directed_process_fires_at"),
+    ],
+)
+def test_each_kind_of_block_has_a_limit_of_its_own(
+    kind: str, directed: bool, limit: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The designs tell their kind, and one kind of block alone has an evidence."""
+    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
+    searcher = Searcher(Setting.free(campaign), enumerate_candidates(campaign, ()))
+    null = Null.of(searcher.linear, campaign.error_um, Extra.none(len(campaign)), start_noise(campaign))
+    columns = variables(campaign)
+    x = next(one for one in columns if one.name == "target_mm")
+    size = np.zeros(1)
+
+    def evidence(_: Null, names: tuple[str, ...], design: str) -> Block:
+        mine = design == kind and ("direction" in names) == directed
+        return Block(names, np.zeros((len(campaign), 1)), float(size[0]) if mine else 0.0, 1.0)
+
+    monkeypatch.setattr(blocks, "design_of", lambda *_, **__: "smooth")
+    monkeypatch.setattr(blocks, "process_of", lambda *_: "process")
+    monkeypatch.setattr(blocks, "block", evidence)
+    monkeypatch.setattr(blocks, "sure_evidence", lambda _, one: one.evidence)
+    monkeypatch.setattr(blocks, "share_by_signs", lambda *_: 0.0)
+    found = []
+    for size[0] in (getattr(policy(), limit) - 0.01, getattr(policy(), limit) + 0.01):
+        found.append(clearest_block(null, columns, x, campaign.d)[0])
+    assert found[0] is None
+    assert found[1] is not None
+    assert ("direction" in found[1].columns) == directed
 
 
 def test_rows_hit_at_random_are_noticed_without_a_column_that_announces_them() -> None:
