@@ -113,7 +113,8 @@ def with_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection
         return found
     rest = [choice for choice in found.choices if choice not in mine]
     worth = judged(searcher, found.choices, found.noise)
-    least = worth + (policy().pair_of_none, policy().replace, policy().exchange)[min(len(mine), 2)]
+    effects = {choice.effect.id for choice in mine}
+    least = worth + (policy().pair_of_none, policy().replace, policy().exchange)[min(len(effects), 2)]
     best: tuple[float, list[Choice]] | None = None
     for pair in best_pairs(searcher, rest, found.noise, least - policy().refinement):
         trial = settled(searcher, [*rest, *pair], found.noise, columns=False)
