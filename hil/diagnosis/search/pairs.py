@@ -6,6 +6,7 @@ again beside each partner.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -81,13 +82,12 @@ def _of_free(searcher: Searcher, rest: Sequence[Choice], noise: Noise) -> list[t
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     normal, b = normal / np.outer(size, size) + 1e-9 * np.eye(len(b)), b / size
     value = np.empty(len(first))
-    widths = np.column_stack([blocks.width[first], blocks.width[second]])
-    for width in np.unique(widths, axis=0):
-        which = np.flatnonzero(np.all(widths == width, axis=1))
+    for widths in itertools.product(np.unique(blocks.width).tolist(), repeat=2):
+        which = np.flatnonzero((blocks.width[first] == widths[0]) & (blocks.width[second] == widths[1]))
         index = np.hstack(
             [
-                blocks.first[one[which]][:, None] + np.arange(count)
-                for one, count in zip((first, second), width.tolist(), strict=True)
+                blocks.first[one[which]][:, None] + np.arange(width)
+                for one, width in zip((first, second), widths, strict=True)
             ]
         )
         right = b[index]
@@ -97,7 +97,8 @@ def _of_free(searcher: Searcher, rest: Sequence[Choice], noise: Noise) -> list[t
     prior = np.array([choice.log_prior for choice in choices])
     value += prior[first] + prior[second] + searcher.evidence(rest, noise)
     best: dict[tuple[str, ...], tuple[float, Pair]] = {}
-    for at in np.argsort(-value)[:LISTED]:
+    listed = np.argpartition(-value, LISTED)[:LISTED] if len(value) > LISTED else np.arange(len(value))
+    for at in listed[np.argsort(-value[listed])]:
         pair = choices[first[at]], choices[second[at]]
         best.setdefault(_forms_of(pair), (float(value[at]), pair))
     return list(best.values())

@@ -109,9 +109,9 @@ def with_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection
     """
     varying = [choice for choice in found.choices[fixed:] if not choice.effect.static]
     mine = varying if len(varying) <= 2 else [choice for choice in varying if choice.effect.slow]
-    if varying and not mine:
-        return found
     rest = [choice for choice in found.choices if choice not in mine]
+    if (varying and not mine) or len(rest) + 2 > fixed + MOST_TERMS:
+        return found
     worth = judged(searcher, found.choices, found.noise)
     effects = {choice.effect.id for choice in mine}
     least = worth + (policy().pair_of_none, policy().replace, policy().exchange)[min(len(effects), 2)]
