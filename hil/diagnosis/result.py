@@ -90,7 +90,7 @@ class Finding:
         course = f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)}"
         size = f"{Estimate(self.rms_um, self.rms_std_um)} µm RMS over these rows and {self.peak_um:.3g} µm at most"
         if self.summed:
-            only = f"{len(self.terms)} of them together fit it, so none has a coefficient of its own"
+            only = f"{len(self.terms)} forms together fit it, so none has a coefficient of its own"
             return f"{course} that no single form of the catalogue has, {size}; {only}."
         told = " ".join(term.effect.explain(term) for term in self.terms)
         if self.is_unstated:
