@@ -82,7 +82,7 @@ class Policy:
         12.0,
         LOG,
         "by which a pair of effects must exceed none, where neither was found by itself",
-        "160 000 to 1: some 50 000 pairs are tried; of 500 machines without a cause none came so far",
+        "160 000 to 1: 40 000 to 100 000 pairs are tried; of 500 machines without a cause none came so far",
     )
     beyond: float = _number(6.0, LOG, "of a strong memory of the rows against that of noise", "400 to 1")
     likely: float = _number(2.0, LOG, "against none from which an unproven effect is considered", "7 to 1")
