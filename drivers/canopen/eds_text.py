@@ -82,7 +82,6 @@ class EdsText:
 
     sections: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[Deviation] = field(default_factory=list)
-    compact_members: int = 0
 
     def note(self, place: str, kind: str, key: str = "", shown: str | None = None) -> None:
         """Add a note; shown: the file's text there."""
@@ -146,6 +145,9 @@ def _section_name(name: str) -> str:
 
 def _complete(parsed: EdsText) -> None:
     """Give every object section what the interpreter needs, expand compact arrays, add the objects of orphans."""
+    counts = (whole_number(keys.get("CompactSubObj")) or 0 for keys in parsed.sections.values())
+    if sum(min(max(count, 0), MAX_COMPACT) for count in counts) > MOST_MEMBERS:
+        raise InputError(f"holds compact arrays of more than {MOST_MEMBERS} members in all")
     with_members = {match.group(1) for match in map(OBJECT.match, parsed.sections) if match and match.group(2)}
     for name in list(parsed.sections):
         match = OBJECT.match(name)
@@ -191,9 +193,6 @@ def _expand(name: str, keys: dict[str, str], parsed: EdsText) -> None:
     if not 0 < count <= MAX_COMPACT:
         parsed.note(f"[{name}]", "is no number of members, left out", "CompactSubObj", text)
         return
-    parsed.compact_members += count
-    if parsed.compact_members > MOST_MEMBERS:
-        raise InputError(f"holds compact arrays of more than {MOST_MEMBERS} members in all")
     names = parsed.sections.pop(f"{name}Name", {})
     values = parsed.sections.pop(f"{name}Value", {})
     shared = {key: value for key, value in keys.items() if key not in ("SubNumber", "ObjectType", "ParameterName")}
