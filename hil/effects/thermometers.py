@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+import scipy  # its parts are loaded where they are first used: each job at an axis starts through here
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 Floats = NDArray[np.float64]
 
@@ -187,10 +187,10 @@ class _Course:
         rows = moments.differences(order)
         matrix = stiffness * _banded(rows, m)
         matrix[-1] += moments.count
-        factor = cholesky_banded(matrix)
+        factor = scipy.linalg.cholesky_banded(matrix)
 
         def smooth(values: Floats) -> Floats:
-            return np.asarray(cho_solve_banded((factor, False), moments.count * values))
+            return np.asarray(scipy.linalg.cho_solve_banded((factor, False), moments.count * values))
 
         course = smooth(moments.value)
         logs = 2.0 * float(np.sum(np.log(factor[-1]))) - (m - order) * np.log(stiffness) - _log_determinant(rows)
@@ -241,4 +241,4 @@ def _log_determinant(rows: Floats) -> float:
     for apart in range(min(width, count)):
         here, there = rows[: count - apart, apart:], rows[apart:, : width - apart]
         matrix[width - 1 - apart, apart:] = np.sum(here * there, axis=1)
-    return 2.0 * float(np.sum(np.log(cholesky_banded(matrix)[-1])))
+    return 2.0 * float(np.sum(np.log(scipy.linalg.cholesky_banded(matrix)[-1])))
