@@ -68,7 +68,7 @@ class Policy:
     slight: float = _number(
         3.0,
         LOG,
-        "of a term beside terms that were taken after it, and of each one that several effects have more than a free course of time",
+        "of a term beside terms that were taken after it, and of each further effect of several that replace one wandering reading",
         "20 to 1",
     )
     keep: float = _number(6.0, LOG, "of a term beside an unexplained structure", "400 to 1")
