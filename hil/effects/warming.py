@@ -216,6 +216,12 @@ def is_bounded(term: Term) -> bool:
     return SEEN[0] in term.form.constants
 
 
+def goes_beyond_what_was_seen(term: Term, columns: Columns) -> Rows:
+    """The rows of these columns, shape (n,), on which the temperature's rise is beyond the bound of a bounded term."""
+    free = replace(term.form, constants={k: v for k, v in term.form.constants.items() if k not in SEEN})
+    return np.asarray(rise(free, term.theta, columns) != rise(term.form, term.theta, columns))[:, 0]
+
+
 def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     """The temperature rise of a form, shape (n, 1): K above 20 °C, no further than its constants `SEEN` where it has them; or
     the fraction of the final rise (0 … 1). Raises KeyError for another form.

@@ -10,6 +10,10 @@ import pytest
 from support.places import SHARED_DATA as SHARED
 
 from hil.app.terminal.main import main
+from hil.effects import ALL
+from hil.effects.base import Form, Term
+from hil.effects.model import Model, PitchTable
+from hil.effects.warming import as_far_as_seen
 from hil.records.rows import Records, read_csv, to_csv
 
 
@@ -114,3 +118,26 @@ def test_a_model_that_needs_a_column_says_so_when_it_is_gone(
     error = capsys.readouterr().err
     assert error.count("\n") == 1
     assert "temp_screw_c" in error
+
+
+def test_apply_says_on_how_many_rows_a_bounded_temperature_is_beyond_what_was_seen(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """2.5 µm/K seen up to 22 °C: at 21 and 22 °C all of it is corrected, at 23 and 30 °C as much as at 22."""
+    known = {one.id: one for one in ALL}["thermal_drift"]
+    drift = Term(known, Form(known.id, "temperature", ("temp_screw_c",)), (), (2.5,), ((1e-4,),))
+    bounded = as_far_as_seen(drift, {"temp_screw_c": np.array([20.0, 22.0])})
+    model, records, out = (tmp_path / name for name in ("model.json", "records.csv", "out.csv"))
+    model.write_text(Model(PitchTable((0.0,), (0.0,), (0.0,)), (bounded,)).to_json(), encoding="utf-8")
+    warm = {"run": 1, "direction": 1, "target_mm": 5.0, "measured_mm": 5.0}
+    columns = {name: np.full(4, value) for name, value in warm.items()} | {
+        "temp_screw_c": np.array([21.0, 22.0, 23.0, 30.0])
+    }
+    records.write_text(to_csv(Records.of(columns)), encoding="utf-8")
+    assert main(["apply", "--model", str(model), str(records), "--out", str(out)]) == 0
+    assert read_csv(out)["correction_um"] == pytest.approx([-2.5, -5.0, -5.0, -5.0])
+    assert "thermal_drift: on 2 of 4 rows temp_screw_c is beyond the range" in capsys.readouterr().out
+    columns["temp_screw_c"] = np.full(4, 21.5)
+    records.write_text(to_csv(Records.of(columns)), encoding="utf-8")
+    assert main(["apply", "--model", str(model), str(records), "--out", str(out)]) == 0
+    assert "beyond" not in capsys.readouterr().out

@@ -18,6 +18,7 @@ from hil.app.terminal.records_input import (
 )
 from hil.effects.non_parametric import without_cause
 from hil.effects.user_effects import attributing_errors
+from hil.effects.warming import goes_beyond_what_was_seen, is_bounded
 from hil.records.rows import to_csv
 
 EXAMPLE = """\
@@ -77,6 +78,12 @@ def run(args: argparse.Namespace) -> int:
             "written": str(args.out),
         }
     )
+    for term in filter(is_bounded, model.terms):
+        if beyond := int(np.sum(goes_beyond_what_was_seen(term, records.columns))):
+            print(
+                f"{term.effect.id}: on {beyond} of {len(records)} rows {term.form.inputs[0]} is beyond the range that the model was"
+                " fitted to; its correction goes no further than it was seen to go"
+            )
     for term in without_cause(model.terms):
         print(f"{term.effect.id}: {term.effect.explain(term)}")
     if args.json:
