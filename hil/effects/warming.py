@@ -216,7 +216,7 @@ def is_bounded(term: Term) -> bool:
     return SEEN[0] in term.form.constants
 
 
-def goes_beyond_what_was_seen(term: Term, columns: Columns) -> Rows:
+def goes_beyond_what_was_seen(term: Term, columns: Columns) -> NDArray[np.bool_]:
     """The rows of these columns, shape (n,), on which the temperature's rise is beyond the bound of a bounded term."""
     free = replace(term.form, constants={k: v for k, v in term.form.constants.items() if k not in SEEN})
     return np.asarray(rise(free, term.theta, columns) != rise(term.form, term.theta, columns))[:, 0]
