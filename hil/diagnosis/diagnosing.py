@@ -189,12 +189,12 @@ def _put_into_force(
     suspected = _unproven(problem, chosen, noise_um) if is_alone else None
     fit, choices = (chosen.fit, chosen.kept) if suspected is None else suspected
     courses = courses_as_good(chosen.last.searcher, chosen.last.noise, choices)
-    bounded = within_what_was_seen(fit, courses, rows.columns)
+    bounded = within_what_was_seen(fit, courses, rows.columns, is_suspected=suspected is not None)
     declared = [term for term in bounded.extended.terms if term not in bounded.found]
     names = {choice.effect.id: choice.form.inputs[0] for choice in choices if choice.effect.id in courses}
     notes = [course_note(effect, column, courses[effect]) for effect, column in names.items()]
     notes += [bounded_note(term) for term in declared if is_bounded(term)]
-    notes += [] if suspected is None else [_suspicion(term) for term in fit.found]
+    notes += [] if suspected is None else [_suspicion(term) for term in bounded.found]
     return bounded, courses, notes
 
 
@@ -300,9 +300,13 @@ def _notes(
 
 
 def _suspicion(term: Term) -> str:
+    column = term.form.inputs[0] if term.form.inputs else ""
+    bound = (
+        f" The correction follows {column} as far as it went on these rows, and no further." if is_bounded(term) else ""
+    )
     return (
         f"{term.effect.id} is suspected: more likely than not, and better on runs left out, so the extended model holds it; noise may"
-        f" make as much, so it is no finding. {term.effect.explain(term)}"
+        f" make as much, so it is no finding. {term.effect.explain(term)}{bound}"
     )
 
 

@@ -70,16 +70,18 @@ def bounded_note(term: Term) -> str:
 
 
 def within_what_was_seen(
-    fit: JointFit, courses: Mapping[str, float], columns: Columns, rows: Rows = ALL_ROWS
+    fit: JointFit, courses: Mapping[str, float], columns: Columns, rows: Rows = ALL_ROWS, *, is_suspected: bool = False
 ) -> JointFit:
     """The fit, in which a temperature of `courses_as_good` counts no further than it went on some rows of these columns.
 
-    Another warm-up may go far beyond; an offset that settles with the time would not.
+    Another warm-up may go far beyond; an offset that settles with the time would not. is_suspected: of an effect that noise may have
+    made any temperature does
     """
     return fit.with_terms(
         [
             as_far_as_seen(term, columns, rows)
-            if follows_a_temperature(term.form) and _goes_no_further(courses.get(term.effect.id, np.inf))
+            if follows_a_temperature(term.form)
+            and (is_suspected or _goes_no_further(courses.get(term.effect.id, np.inf)))
             else term
             for term in fit.found
         ]
