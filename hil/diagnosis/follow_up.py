@@ -1,7 +1,8 @@
 """A diagnosis with all its rivals, those that the records show and those hidden in them, and the measurement that
 separates each.
 
-`diagnosed` is the only way from records to a verdict: command, screen, loop and demo call it with all columns of the rows.
+`diagnosed` is the only way from records to a verdict: command, screen, loop, demo and fleet call it with all columns
+of the rows.
 `hil.diagnosis.verdict.hypotheses` weighs the causes, `hil.diagnosis.next.next_measurement` the runs.
 """
 

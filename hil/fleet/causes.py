@@ -21,7 +21,7 @@ from hil.records.rows import read_csv
 
 FOLDER = "diagnoses"
 """Folder of the index with the diagnoses."""
-VERSION = 1
+VERSION = 2
 """Of what is kept: another is diagnosed again."""
 
 
@@ -76,10 +76,10 @@ def newest_passes(
 
 def diagnose_task(task: Task) -> dict[str, Any]:
     """The JSON form of a diagnosis, or {"why": the reason why there is none}."""
-    from hil.diagnosis import diagnose  # noqa: PLC0415  (slow to import; only workers need it)
+    from hil.diagnosis.follow_up import diagnosed  # noqa: PLC0415  (slow to import; only workers need it)
 
     try:
-        return diagnose(read_csv(task.path)).to_json()
+        return diagnosed(read_csv(task.path), None).to_json()
     except (BridgeError, OSError) as error:
         return {"why": error.what if isinstance(error, InputError) else one_line(error)}
     except Exception as error:  # noqa: BLE001  one axis that was not foreseen must not end the diagnosis of all

@@ -1,8 +1,9 @@
-"""One set of records gives one verdict, whichever way it comes to the diagnosis: command, model, screen, loop and demo."""
+"""One set of records gives one verdict, whichever way it comes to the diagnosis: command, model, screen, loop, fleet, demo."""
 
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ from hil.calibration.explore import Exploration, explore, plan_runs
 from hil.diagnosis.job import diagnose_passes
 from hil.diagnosis.loop.procedure import Turning, decide
 from hil.diagnosis.stored import STORED
+from hil.fleet.causes import Task, diagnose_task
 from hil.machine.events import silent
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign
+from hil.records.rows import to_csv
 
 Verdict = list[tuple[str, frozenset[str]]]
 
@@ -75,6 +78,12 @@ def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -
     screen = json.loads(stored.read_text())
     assert verdict(screen) == verdict(loop)
     assert confidences(screen) == pytest.approx(confidences(loop), abs=1e-9)
+
+    joined = tmp_path / "joined.csv"
+    joined.write_text(to_csv(before), encoding="utf-8")
+    fleet = diagnose_task(Task("axis", "campaign", "joined", datetime.now(UTC), joined, "kept.json"))
+    assert verdict(fleet) == verdict(loop)
+    assert confidences(fleet) == pytest.approx(confidences(loop), abs=1e-9)
 
     model = tmp_path / "model.json"
     assert main(["fit", *map(str, by_name), "--out", str(model)]) == 0

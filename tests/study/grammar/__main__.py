@@ -83,7 +83,8 @@ def main(words: Sequence[str] | None = None) -> int:
             found = dict(completed(work, numbers, scheduler=args.scheduler, processes=args.processes))
             everything += [found[number] for number in numbers]
             _told(args.json, everything)
-    print(f"\nconfidence, all lots ({which(everything)})")
+    others = ", ".join(f"{name} {seeds[0]} to {seeds[-1]}" for name, seeds in SEEDS.items())
+    print(f"\nconfidence, all lots ({which(everything)}; all seeds there are: {others})")
     for name, value in calibration(everything).items():
         print(f"  {name}: {text(value)}")
     return 0

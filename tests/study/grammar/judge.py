@@ -143,7 +143,7 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
             "explanation": finding["explanation"],
             "rms_um": finding.get("rms_um"),
             "parameters": {name: [one.get("value"), one.get("std")] for name, one in finding["parameters"].items()},
-            "rivals": [[rival["effect"], rival["confidence"]] for rival in finding["rivals"]],
+            "rivals": [[rival["effect"], rival["confidence"], rival["separate_by"]] for rival in finding["rivals"]],
         }
         for finding in told["findings"]
     ]
@@ -153,6 +153,7 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
         "carried_by": told.get("carried_by", []),
         "noise_floor_um": told["noise_floor_um"],
         "notes": told.get("notes", []),
+        "next_measurement": told.get("next_measurement"),
         "seconds": told["seconds"],
         "verb_seconds": took_s,
         **left,
@@ -169,7 +170,7 @@ def _judged(drawn: Drawn, causes: Any, said: Mapping[str, Any]) -> Outcome:
         *rights, *(not_wrong(cause) for cause in drawn.causes), always_there(drawn.older is not None)
     )
     names = [finding["effect"] for finding in said["findings"]]
-    sets = [[finding["effect"], *(rival for rival, _ in finding["rivals"])] for finding in said["findings"]]
+    sets = [[finding["effect"], *(rival for rival, *_ in finding["rivals"])] for finding in said["findings"]]
     carried = _carriers(drawn, causes, said["carried_by"])
     return {
         "held": any(drawn.held),

@@ -15,6 +15,10 @@ from study.grammar.judge import CONFIDENT, FALSE_RATE, Outcome, detected
 
 BINS = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
 """Edges of the reliability table."""
+DRAWS = 4000
+"""Draws of the machines, with repetition, behind the interval of a ratio of two shares."""
+GENERAL = "vary apart"
+"""In every advice that names no run but only says of columns that they must."""
 
 
 def share(hits: Sequence[bool]) -> dict[str, Any]:
@@ -47,6 +51,23 @@ def quantiles(values: Sequence[float]) -> dict[str, float]:
         "90 %": float(np.quantile(values, 0.9)),
         "worst": float(np.max(values)),
     }
+
+
+def ratio(hits: Sequence[bool], of: Sequence[bool]) -> dict[str, Any]:
+    """Share of `hits` over that of `of`, of the same machines, with a percentile interval at 95 % over draws of the machines."""
+    above, below = np.array(hits, dtype=float), np.array(of, dtype=float)
+    if not below.sum():
+        return {}
+    draws = np.random.default_rng(1).integers(0, len(above), (DRAWS, len(above)))
+    drawn = above[draws].sum(axis=1) / np.maximum(below[draws].sum(axis=1), 1.0)
+    low, high = np.quantile(drawn, [0.025, 0.975])
+    return {"ratio": float(above.sum() / below.sum()), "low": float(low), "high": float(high)}
+
+
+def likeliest(one: Outcome) -> bool:
+    """Whether the first finding is stated with no less confidence than each of its rivals."""
+    findings = one["said"]["findings"]
+    return bool(findings) and all(findings[0]["confidence"] >= rival[1] for rival in findings[0]["rivals"])
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -83,7 +104,11 @@ def _known(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     first = [one["named_first"] for one in outcomes]
     found = {
         "named first": share(first),
+        "named first, and with no less confidence than any rival": share(
+            [one["named_first"] and likeliest(one) for one in outcomes]
+        ),
         f"detected by who knows form and noise ({FALSE_RATE:.0%} false)": share(seen),
+        "named first over detected": ratio(first, seen),
         "of these, named first": share([a for a, b in zip(first, seen, strict=True) if b]),
         "another cause looks the same on these rows: named first": share(
             [one["named_first"] for one in outcomes if one["twin"]]
@@ -123,6 +148,7 @@ def _outside(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "unexplained, or a pure course of time named so": share(found_it),
         "detected by who knows form and noise": share(seen),
         "columns named in any part, of the unexplained": share([one["carriers_named"] for one in told]),
+        "columns named in any part, of all machines": share([bool(one["carriers_named"]) for one in outcomes]),
         "columns named in the first part": share([one["carriers_first"] for one in told]),
         "size off by (part of the truth)": quantiles(sizes),
         "size within 25 %": share([size <= 0.25 for size in sizes]),
@@ -139,9 +165,17 @@ def _clean(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     found = {
         "with a finding": share([bool(one["said"]["findings"]) for one in outcomes]),
         "with anything said": share([not one["silent"] for one in outcomes]),
+        "with anything said or suspected": share(
+            [not one["silent"] or any("is suspected" in note for note in one["said"]["notes"]) for one in outcomes]
+        ),
         "with a note of any kind": share([bool(one["said"]["notes"]) for one in outcomes]),
     }
-    return found | _by("anything said", outcomes, lambda one: one["truth"]["noise"], lambda one: not one["silent"])
+    for what, hit in (
+        ("with a finding", lambda one: one["said"]["findings"]),
+        ("anything said", lambda one: not one["silent"]),
+    ):
+        found |= _by(what, outcomes, lambda one: one["truth"]["noise"], hit)
+    return found
 
 
 def _missing(outcomes: Sequence[Outcome]) -> dict[str, Any]:
@@ -154,7 +188,15 @@ def _missing(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         "silent": share([one["silent"] for one in outcomes]),
     }
     bare = [one for one in outcomes if not one["truth"]["logged"]]
-    found["only what is required was logged: true name in a set"] = share([one["in_a_set"] for one in bare])
+    without = [one for one in outcomes if any(name.startswith("temp_") for name in one["truth"]["removed"])]
+    for what, own in (("only what is required was logged", bare), ("its temperature was not logged", without)):
+        found[f"{what}: true name in a set"] = share([one["in_a_set"] for one in own])
+        found[f"{what}: a wrong name above {CONFIDENT}"] = share([bool(one["confident_wrong"]) for one in own])
+    sets = [finding["rivals"] for one in outcomes for finding in one["said"]["findings"]]
+    found["names in a set, with the one found"] = quantiles([1 + len(rivals) for rivals in sets])
+    found["sets in which a run is named that separates two names"] = share(
+        [any(len(rival) > 2 and rival[2] and GENERAL not in rival[2] for rival in rivals) for rivals in sets if rivals]
+    )
     return found | _by("in a set", outcomes, lambda one: one["truth"]["causes"][0]["name"], lambda one: one["in_a_set"])
 
 
@@ -175,7 +217,7 @@ def _by(
     groups: dict[str, list[bool]] = defaultdict(list)
     for one in outcomes:
         groups[key(one)].append(bool(hit(one)))
-    return {f"{what} by kind": {name: f"{sum(hits)}/{len(hits)}" for name, hits in sorted(groups.items())}}
+    return {f"{what}, {name}": share(hits) for name, hits in sorted(groups.items())}
 
 
 def right(one: Outcome) -> bool:
@@ -198,7 +240,7 @@ def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Share of right names per bin of confidence, and the Brier score of all findings."""
     pairs = [(float(c), bool(r)) for one in outcomes if "error" not in one for c, r in one["confidences"]]
     found: dict[str, Any] = {"findings": len(pairs)}
-    for low, high in pairwise(BINS):
+    for low, high in (*pairwise(BINS), (CONFIDENT, 1.0)):
         inside = [(c, r) for c, r in pairs if low < c <= high or (low == 0.0 and c == 0.0)]
         if inside:
             found[f"said {low:g} to {high:g}"] = {

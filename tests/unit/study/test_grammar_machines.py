@@ -228,6 +228,28 @@ def test_wilson_interval_as_published():
     assert report.share([True] * 81 + [False] * 182)["wilson_95"] == pytest.approx([0.2553, 0.3662], abs=1e-4)
 
 
+def test_a_ratio_of_shares_is_that_of_the_same_machines() -> None:
+    """Where a machine is named exactly when it is detected the ratio is 1 in every draw; of independent ones the width is by the
+    delta method: sqrt(0.1 / 0.9 / n + 0.1 / 0.9 / n) · 1.96.
+    """
+    half = [True, False] * 100
+    assert report.ratio(half, half) == pytest.approx({"ratio": 1.0, "low": 1.0, "high": 1.0})
+    rng = np.random.default_rng(5)
+    hits, of = rng.random(2000) < 0.9, rng.random(2000) < 0.9
+    found = report.ratio(list(hits), list(of))
+    assert found["high"] - found["low"] == pytest.approx(2 * 1.96 * np.sqrt(2 * 0.1 / 0.9 / 2000), rel=0.15)
+    assert report.ratio([False], [False]) == {}
+
+
+def test_a_first_name_below_one_of_its_rivals_is_not_the_likeliest() -> None:
+    def said(confidence: float) -> dict[str, object]:
+        return {"said": {"findings": [{"confidence": confidence, "rivals": [["cyclic", 0.4, ""], ["abbe", 0.1, ""]]}]}}
+
+    assert report.likeliest(said(0.5))
+    assert not report.likeliest(said(0.3))
+    assert not report.likeliest({"said": {"findings": []}})
+
+
 def test_the_slopes_of_a_form_are_its_derivatives_to_what_it_was_drawn_with(state):
     """Of load · (x - stiff) / travel: -load / travel. Of 1 - e^(-t/τ): -t/τ² · e^(-t/τ); what it takes from the rows is none."""
     rng = np.random.default_rng(0)
