@@ -116,7 +116,7 @@ class Finding:
     @property
     def action(self) -> Action:
         """What to do about it."""
-        return self.term.effect.action
+        return self.term.effect.action_for(self.term)
 
     @property
     def parameters(self) -> dict[str, Estimate]:

@@ -180,6 +180,11 @@ class Effect(ABC):
         """
         return np.hstack([self.basis(form, theta, columns) for theta in thetas])
 
+    def action_for(self, term: Term) -> Action:
+        """What to do about a term: `action`, where its parameters do not show that another part causes it."""
+        del term
+        return self.action
+
     def is_straight(self, form: Form) -> bool:
         """Whether the error is straight along the axis, everything but `target_mm` as it is. Then two places tell a stream of all."""
         return "target_mm" not in form.inputs

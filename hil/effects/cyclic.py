@@ -37,7 +37,17 @@ LINES = 1500
 OVERSAMPLING = 3.0
 """Frequencies scanned per reciprocal of the travel."""
 SHORTEST_MM = 0.5
-"""Shortest period of the even scan."""
+"""Shortest period of the even scan on a travel of at least `LEAST_TURNS` such periods; on a shorter one that part of the travel."""
+LEAST_TURNS = 20
+INTERFERENCE_MM = 632.9908e-6 / 2.0
+"""Period of the signal of a laser interferometer that reads its target once: half the vacuum wavelength of the helium-neon laser
+(Mise en pratique of the metre, iodine-stabilised at 633 nm). Air shortens it by 0.03 %.
+"""
+HIGHEST_ORDER = 8
+"""Periods per period of the signal up to which one is put down to the interferometer: beyond, any short period is near such a part."""
+SAME_PERIOD = 0.02
+"""Relative difference below which two periods are one, at least: of one turn of measured signals 1.1 %, where 0.9 % is stated;
+neighbouring orders differ by an eighth and more."""
 COMMON_MM = (0.5, 1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
 """Common screw pitches and scale periods, tried beside the even scan."""
 
@@ -49,7 +59,8 @@ def period_grid(survey: Survey) -> tuple[tuple[float, ...], ...]:
     travel = 2 * survey.half_span_mm
     longest = travel / 2
     step = 1.0 / (OVERSAMPLING * travel)
-    count = int(min(LINES, (1.0 / SHORTEST_MM - 1.0 / longest) / step))
+    shortest = min(SHORTEST_MM, travel / LEAST_TURNS)
+    count = int(min(LINES, (1.0 / shortest - 1.0 / longest) / step))
     if count < 2:
         return ()
     frequencies = 1.0 / longest + step * np.arange(count)
@@ -141,12 +152,20 @@ class Cyclic(Effect):
             found["half_difference_um"] = term.amplitude(2, 3)
         return found
 
+    def action_for(self, term: Term) -> Action:
+        return self.action if order_of_interference(term) is None else Action.FIX_SETUP
+
     def explain(self, term: Term) -> str:
         extra = "" if term.form.name == FUNDAMENTAL else f", {term.form.name}"
-        return (
-            f"The error repeats every {period_mm(term)} mm of travel with an amplitude of"
-            f" {term.amplitude(0, 1)} µm{extra}: a part that turns or divides with that period is eccentric or misadjusted."
-        )
+        order = order_of_interference(term)
+        if order is None:
+            part = "a part that turns or divides with that period is eccentric or misadjusted"
+        else:
+            part = (
+                f"order {order} of half the wavelength of a helium-neon laser, so the interferometer itself divides unevenly"
+                " (offsets, gains and phase of its two signals, stray light)"
+            )
+        return f"The error repeats every {period_mm(term)} mm of travel with an amplitude of {term.amplitude(0, 1)} µm{extra}: {part}."
 
 
 def _wave(per_mm: float, sine: float, cosine: float) -> Wave:
@@ -169,6 +188,16 @@ def period_mm(term: Term) -> Estimate:
     if not FORMS[term.form.name][1]:
         return term.nonlinear(0)
     return term.derived(lambda c, theta: _period(term.form, c, float(theta[0])))
+
+
+def order_of_interference(term: Term) -> int | None:
+    """Periods of a term per half wavelength of a helium-neon laser, where that is a whole number of them; else None."""
+    period = period_mm(term)
+    order = round(INTERFERENCE_MM / period.value)
+    if not 1 <= order <= HIGHEST_ORDER:
+        return None
+    off_mm = abs(INTERFERENCE_MM / order - period.value)
+    return order if off_mm <= max(SAME_PERIOD * period.value, 2.0 * period.std) else None
 
 
 def _along(coefficients: Floats) -> tuple[float, float]:

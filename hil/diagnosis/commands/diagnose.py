@@ -91,6 +91,10 @@ def _pitches(axis: str | None) -> tuple[float, ...]:
     return () if axis is None else (load_axis(axis).scaling.feed_mm_per_shaft_rev,)
 
 
+def _size(error_um: float) -> str:
+    return f"{error_um:.3f} µm" if error_um >= 1e-2 or not error_um else f"{error_um:.3g} µm"
+
+
 def floor_text(diagnosis: Diagnosis) -> str:
     """The pure error with its degrees of freedom, beside the noise as the model has it."""
     parts, floor = diagnosis.noise, diagnosis.pure_error
@@ -110,8 +114,8 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
         {
             "noise floor": floor_text(diagnosis),
             "declared": ", ".join(diagnosis.declared.declared),
-            "before": f"{before.rms_um:.3f} µm RMS, {before.peak_um:.3f} µm at most (held out, {diagnosis.held_out})",
-            "after": f"{after.rms_um:.3f} µm RMS, {after.peak_um:.3f} µm at most",
+            "before": f"{_size(before.rms_um)} RMS, {_size(before.peak_um)} at most (held out, {diagnosis.held_out})",
+            "after": f"{_size(after.rms_um)} RMS, {_size(after.peak_um)} at most",
         }
     )
     if not diagnosis.findings:
@@ -122,8 +126,11 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
             [[f.effect, f"{f.confidence:.3f}", f.action.value, f.explanation] for f in diagnosis.findings],
         )
     for finding in diagnosis.findings:
+        by_advice: dict[str, list[str]] = {}
         for rival in finding.rivals:
-            print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
+            by_advice.setdefault(rival.separate_by, []).append(f"{rival.effect} ({rival.confidence:.2f})")
+        for advice, names in by_advice.items():
+            print(f"{finding.effect} or {', '.join(names)}? {advice}")
     if diagnosis.unexplained:
         print(f"unexplained: {diagnosis.unexplained_sentence}")
     for note in diagnosis.notes:

@@ -4,6 +4,7 @@ weighed here.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -24,6 +25,8 @@ ABBE_STEP_MM = 150.0
 WARM_S = REST_S = 300.0
 LONGEST_PITCH_MM = 20.0
 STEPS_PER_PERIOD = 11.3
+USUAL_SPAN_MM, DIGITS = 10.0, 3
+"""Targets are whole µm on a travel of at least that many mm, and finer in proportion on a shorter one."""
 
 
 def feasible_runs(means: Means, *, first_run: int = 1, seed: int = 0) -> tuple[PlannedRun, ...]:
@@ -44,12 +47,13 @@ class _Maker:
 
     def __init__(self, means: Means, rng: np.random.Generator, first_run: int) -> None:
         self.means, self.rng, self.first_run = means, rng, first_run
+        self.digits = DIGITS + max(0, math.ceil(math.log10(USUAL_SPAN_MM / means.span_mm)))
 
     # -- parts of runs -----------------------------------------------------------------------------------------------------
     def scattered(self, count: int) -> Floats:
-        """One random target in each of `count` equal parts of the travel, whole µm, ascending."""
+        """One random target in each of `count` equal parts of the travel, rounded, ascending."""
         edges = np.linspace(self.means.low_mm, self.means.high_mm, count + 1)
-        return np.asarray(np.round(self.rng.uniform(edges[:-1], edges[1:]), 3))
+        return np.asarray(np.round(self.rng.uniform(edges[:-1], edges[1:]), self.digits))
 
     def point(
         self, index: int, direction: int, target_mm: float, overrun_mm: float | None = None, *levels: tuple[str, float]
@@ -58,7 +62,7 @@ class _Maker:
         means = self.means
         wanted = means.overrun_mm if overrun_mm is None else overrun_mm
         room = (target_mm - means.low_mm if direction > 0 else means.high_mm - target_mm) + means.overrun_mm
-        return Point(self.first_run + index, direction, target_mm, round(min(wanted, room), 3), levels=levels)
+        return Point(self.first_run + index, direction, target_mm, round(min(wanted, room), self.digits), levels=levels)
 
     def there_and_back(self, targets: Floats, passes: int, *levels: tuple[str, float], first: int = 0) -> list[Point]:
         """Up through the targets and down again, `passes` times, a run each."""
@@ -92,7 +96,7 @@ class _Maker:
 
     # -- runs that the axis makes alone ------------------------------------------------------------------------------------
     def repeat(self) -> PlannedRun:
-        grid = np.round(np.linspace(self.means.low_mm, self.means.high_mm, self.means.targets), 3)
+        grid = np.round(np.linspace(self.means.low_mm, self.means.high_mm, self.means.targets), self.digits)
         return self.planned("repeat", "measure the same once more, there and back twice", self.there_and_back(grid, 2))
 
     def shifted(self) -> PlannedRun:
@@ -109,13 +113,13 @@ class _Maker:
         """Fine steps that no usual pitch divides, over two of the longest periods, at three positions."""
         low, high = self.means.low_mm, self.means.high_mm
         longest = max((*self.means.pitches_mm, min(LONGEST_PITCH_MM, self.means.span_mm / 8)))
-        window, step = min(2 * longest, self.means.span_mm), round(longest / STEPS_PER_PERIOD, 3)
+        window, step = min(2 * longest, self.means.span_mm), round(longest / STEPS_PER_PERIOD, self.digits)
         places = [float(np.clip(place - window / 2, low, high - window)) for place in self.scattered(3)]
         points: list[Point] = []
         for index, start in enumerate(places):
-            fine = np.round(start + step * np.arange(int(window / step + 1e-9) + 1), 3)
+            fine = np.round(start + step * np.arange(int(window / step + 1e-9) + 1), self.digits)
             points += self.there_and_back(fine, 1, first=index)
-        where = ", ".join(f"{place:.0f}" for place in places)
+        where = ", ".join(f"{place:.{self.digits - DIGITS}f}" for place in places)
         words = f"sweep {window:.3g} mm in steps of {step:.3g} mm both ways, from {where} mm on"
         return self.planned("dense", words, points)
 
@@ -133,7 +137,7 @@ class _Maker:
     def returns(self) -> PlannedRun:
         """One reference point repeatedly between two ends."""
         low, high = self.means.low_mm, self.means.high_mm
-        middle = round((low + high) / 2, 3)
+        middle = round((low + high) / 2, self.digits)
         once = [(1, middle), (1, high), (-1, middle), (-1, low)]
         words = f"return to {middle:g} mm twenty times, by turns from either end of the travel"
         return self.planned("returns", words, [self.point(0, d, x) for _ in range(10) for d, x in once])

@@ -19,8 +19,9 @@ from hil.effects.history import time_column
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-SAME_TARGET_MM = 1e-3
-"""Targets nearer than this are one: no error of a machine changes by more than its noise over a µm."""
+SAME_TARGET_MM, SAME_PART = 1e-3, 1e-4
+"""Targets nearer than this, and than that part of the travel, are one: no error of a machine changes by more than its noise over a
+µm."""
 SAME_SHARE = 1e-3
 """Relative difference within which a set condition is the same."""
 SET = re.compile(r"velocity_mm_s|load_kg|abbe_offset_mm|pos_\w+_mm")
@@ -56,7 +57,8 @@ def pure_error(columns: Mapping[str, Floats], error_um: Floats) -> PureError | N
 
 def _cells(columns: Mapping[str, Floats]) -> Ints:
     """A number for each direction, target and set of conditions, (n,)."""
-    keys = [columns["direction"], np.round(columns["target_mm"] / SAME_TARGET_MM)]
+    apart_mm = min(SAME_TARGET_MM, SAME_PART * float(np.ptp(columns["target_mm"]))) or SAME_TARGET_MM
+    keys = [columns["direction"], np.round(columns["target_mm"] / apart_mm)]
     for name in sorted(columns):
         values = columns[name]
         if SET.fullmatch(name) and np.all(np.isfinite(values)):

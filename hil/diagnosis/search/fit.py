@@ -256,8 +256,8 @@ def joint_fit(
         return table
 
     whole = Model(table_of(solution.table[:w]), (*declared, *terms), about)
-    machine = tuple(term for term in whole.terms if term.effect.action is Action.COMPENSATE)
-    foreign = [term for term in terms if term.effect.action is not Action.COMPENSATE]
+    machine = tuple(term for term in whole.terms if term.effect.action_for(term) is Action.COMPENSATE)
+    foreign = [term for term in terms if term.effect.action_for(term) is not Action.COMPENSATE]
     of_machine = solution.table[:w].copy()
     # the first column of a table is the constant
     of_machine[0] += sum(float(np.mean(term.error_um(campaign.columns))) for term in foreign)

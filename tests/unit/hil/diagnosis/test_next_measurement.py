@@ -131,3 +131,12 @@ def test_a_cause_that_only_earlier_rows_show_is_drawn_by_what_the_last_rows_have
     assert [len(so_far) for so_far in drawing.so_far] == [len(new)] * len(causes)
     runs = feasible_runs(Means(0.0, 200.0, feeds_mm_s=(40.0, 10.0, 20.0)), first_run=5)
     assert all(np.all(np.isfinite(drawing.discrimination(run))) for run in runs[:3])
+
+
+@pytest.mark.parametrize("travel_mm", [0.1, 316e-6])
+def test_a_short_travel_is_measured_too_at_as_many_places(travel_mm: float) -> None:
+    """A piezo's travel of 0.1 mm, half a wavelength: targets of whole µm would be a hundred places, or one."""
+    for short, long in zip(feasible_runs(Means(0.0, travel_mm)), feasible_runs(Means(0.0, 400.0)), strict=True):
+        places = [{point.target_mm for point in run.points} for run in (short, long)]
+        assert all(-0.01 * travel_mm <= place <= 1.01 * travel_mm for place in places[0])
+        assert len(places[0]) >= 0.9 * min(len(places[1]), 60), short.name

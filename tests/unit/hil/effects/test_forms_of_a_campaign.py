@@ -13,7 +13,7 @@ import pytest
 from drivers.errors import InputError
 from hil.effects import ALL, Action, Estimate, Form, NonLinear, Survey, Term, survey_of, term_from_json
 from hil.effects.air import air_inputs
-from hil.effects.cyclic import period_grid
+from hil.effects.cyclic import order_of_interference, period_grid
 from hil.effects.history import complete, reversals, row_order, stand_ins, time_column
 from hil.effects.survey import follows_way, varies
 
@@ -326,14 +326,30 @@ def test_periods_are_even_in_frequency_and_hold_the_usual_ones() -> None:
     assert bounds(fundamental.nonlinear[0]) == (0.25, pytest.approx(70.3), True)
 
 
-def test_a_long_axis_has_as_many_lines_as_are_affordable_and_a_tiny_one_none() -> None:
-    """Half span 500.3: 1500 lines 1 / 3001.8 mm apart. Travel 1.4 mm: (2 - 1/0.7)·4.2 = 2.4 lines; 1.3 mm: 1.8, too few."""
+def test_a_long_axis_has_as_many_lines_as_are_affordable_and_a_short_one_down_to_a_twentieth() -> None:
+    """Half span 500.3: 1500 lines 1 / 3001.8 mm apart. Travel of 1.4 mm: (20 - 2)·3 = 54 lines from 0.7 to 0.07 mm, and 0.5 mm; as
+    many on half a wavelength. Travel of 10 mm: from 5 to 0.5 mm, the shortest of long axes too.
+    """
     grid = {period for (period,) in period_grid(campaign(half_span_mm=500.3))}
     assert len(grid) == 1500 + 15
     assert min(grid - {0.5, 1.0}) == pytest.approx(1 / (1 / 500.3 + 1499 / 3001.8))  # 1.9946 mm, below 2
-    assert len(period_grid(campaign(half_span_mm=0.7))) == 2 + 1  # and 0.5 mm
-    assert period_grid(campaign(half_span_mm=0.65)) == ()
-    assert names("cyclic", campaign(half_span_mm=0.65)) == []
+    for half_span_mm, usual in ((0.7, 1), (158e-6, 0)):
+        short = period_grid(campaign(half_span_mm=half_span_mm))
+        assert len(short) in (53 + usual, 54 + usual)  # the last one by rounding
+        assert min(short)[0] == pytest.approx(half_span_mm / 10.0, rel=0.06)
+    assert min(period_grid(campaign(half_span_mm=5.0)))[0] == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("period_nm", "order"), [(316.5, 1), (158.2, 2), (79.99, 4), (39.6, 8), (200.0, None), (35.2, None), (500.0, None)]
+)
+def test_a_period_of_the_laser_is_the_interferometers(period_nm: float, order: int | None) -> None:
+    """Half a wavelength is 316.5 nm, a whole part of it the interferometer's own; 35.2 nm is order 9, 500 nm a grating."""
+    form = Form("cyclic", "fundamental", ("target_mm",), {}, (NonLinear("period_mm", 1e-6, 1.0),))
+    term = Term(EFFECTS["cyclic"], form, (period_nm * 1e-6,), (1.0, 0.0), tuple(map(tuple, 1e-16 * np.eye(3))))
+    assert order_of_interference(term) == order
+    assert EFFECTS["cyclic"].action_for(term) is (Action.COMPENSATE if order is None else Action.FIX_SETUP)
+    assert (f"order {order} of half the wavelength" in EFFECTS["cyclic"].explain(term)) is (order is not None)
 
 
 def test_what_an_effect_is_called_in_the_model_file_and_what_follows_from_it() -> None:
