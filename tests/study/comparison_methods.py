@@ -1,8 +1,9 @@
-"""The usual ways to choose among candidate columns, given the same columns as the diagnosis.
+"""The usual ways to choose among candidate columns, given the same columns as the diagnosis, and a black box.
 
 Forward selection by BIC, the lasso with whole runs left out (scikit-learn), and sequentially thresholded least squares (pysindy's
 STLSQ, where it is installed). A smoothing spline per direction, the declared table, is taken out of errors and candidates first; every
-column then has unit size. Written apart from `hil.diagnosis`, of which only the candidate columns are used.
+column then has unit size. The black box is a sum of boosted trees of the recorded columns, beside the same table. Written apart from
+`hil.diagnosis`, of which only the candidate columns are used.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import lasso_path
 
@@ -43,6 +45,13 @@ FOLDS = 4
 """Number of folds: every run is left out once, two of the eight at a time."""
 RIDGE = 0.05
 """STLSQ's own, its default."""
+
+
+BLACK_BOX = "boosted trees"
+TREES = (0, 10, 30, 100, 300)
+"""Numbers of trees tried on runs left out; 0 is the table alone."""
+MEASURED = ("run", "measured_mm")
+"""Columns that a correction cannot know."""
 
 
 @dataclass(frozen=True)
@@ -199,12 +208,19 @@ def stlsq_by_runs(data: Data) -> Array:
     return _by_runs(data, path)
 
 
+def folds(run: Array) -> Array:
+    """The fold of each row, (n,): runs by turns, or quarters of the rows where there are fewer runs than folds."""
+    number = np.unique(run, return_inverse=True)[1]
+    return number % FOLDS if number.max() + 1 >= FOLDS else np.arange(len(run)) * FOLDS // len(run)
+
+
 def _by_runs(data: Data, path: Callable[[Beside], Array]) -> Array:
     """The coefficients of a path, sparsest first, chosen by leaving out runs with everything repeated, and one standard error."""
     everything = np.ones(len(data.error_um), dtype=bool)
     scores = []
+    apart = folds(data.run)
     for fold in range(FOLDS):
-        rows = data.run % FOLDS != fold
+        rows = apart != fold
         beside = Beside(data, rows)
         left = beside.predicted(data.target_mm[~rows], data.direction[~rows], data.columns[~rows], path(beside))
         scores.append(np.mean((data.error_um[~rows][:, None] - left) ** 2, axis=0))
@@ -244,3 +260,35 @@ def judge(data: Data, coefficients: Array, fresh: Records) -> Verdict:
     which = np.flatnonzero(np.isin(data.owner, machine))
     predicted = beside.predicted(rows["target_mm"], rows["direction"], columns, coefficients, which)
     return Verdict(tuple(found), float(np.sqrt(np.mean((fresh.uncorrected_error_um - predicted) ** 2))))
+
+
+def boosted(first: Records, fresh: Records) -> float:
+    """RMS left of fresh records by the table and gradient-boosted trees of all recorded columns, µm; as many trees as are best on runs
+    left out.
+    """
+    names = [name for name in first.columns if name not in MEASURED and name in fresh.columns]
+    features, later = (np.column_stack([one.columns[name] for name in names]) for one in (first, fresh))
+    error, apart = first.uncorrected_error_um, folds(first.run)
+
+    def predicted(rows: Array, at: Array, trees: int, records: Records) -> Array:
+        x, d = first.target_mm[rows], first["direction"][rows]
+        table = Table(x, d, error[rows])
+        fit = np.vstack([table.columns(x, d), table.rows])
+        b = np.linalg.lstsq(fit, np.concatenate([error[rows], np.zeros(len(table.rows))]), rcond=None)[0]
+        here, there = table.columns(x, d) @ b, table.columns(records.target_mm, records["direction"]) @ b
+        if not trees:
+            return there
+        model = HistGradientBoostingRegressor(max_iter=trees, learning_rate=0.1, early_stopping=False, random_state=0)
+        return there + model.fit(features[rows], error[rows] - here).predict(at)
+
+    def left(trees: int) -> float:
+        squares = []
+        for fold in range(FOLDS):
+            out = apart == fold
+            squares.append((error[out] - predicted(~out, features[out], trees, first.where(out))) ** 2)
+        return float(np.mean(np.concatenate(squares)))
+
+    best = min(TREES, key=left)
+    everything = np.ones(len(error), dtype=bool)
+    off = fresh.uncorrected_error_um - predicted(everything, later, best, fresh)
+    return float(np.sqrt(np.mean(off**2)))
