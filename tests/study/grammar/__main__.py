@@ -20,7 +20,7 @@ if not __package__:  # run as a folder: its own place would hide the package
 
 from study.grammar.judge import Outcome, outcome
 from study.grammar.machine import LOTS, SEEDS
-from study.grammar.report import calibration, figures, right, text
+from study.grammar.report import calibration, figures, picture, right, text
 
 from hil.fleet.executor import completed
 
@@ -69,6 +69,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--together", type=Path, nargs="+", metavar="JSON", help="figures of earlier runs together; runs nothing"
     )
+    parser.add_argument("--picture", type=Path, metavar="FILE", help="the reliability diagram of all lots, PNG or SVG")
     args = parser.parse_args(words)
     everything: list[Outcome] = []
     if args.together:
@@ -87,6 +88,8 @@ def main(words: Sequence[str] | None = None) -> int:
     print(f"\nconfidence, all lots ({which(everything)}; all seeds there are: {others})")
     for name, value in calibration(everything).items():
         print(f"  {name}: {text(value)}")
+    if args.picture:
+        picture(everything, args.picture)
     return 0
 
 

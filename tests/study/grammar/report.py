@@ -7,9 +7,11 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.stats import binomtest
 from study.grammar.judge import CONFIDENT, FALSE_RATE, Outcome, detected
 
@@ -236,10 +238,30 @@ def right(one: Outcome) -> bool:
     return bool(one["named_first"] or (one["held"] and one["silent"]))
 
 
+def picture(outcomes: Sequence[Outcome], path: Path) -> None:
+    """The reliability diagram: of the names said with a confidence, the share that is right, with its interval."""
+    bins = [value for name, value in calibration(outcomes).items() if name.startswith("said") and name != _SURE]
+    said, right_of = [one["mean confidence"] for one in bins], [one["right"] for one in bins]
+    shares = np.array([one["share"] for one in right_of])
+    edges = np.abs(np.array([one["wilson_95"] for one in right_of]).T - shares)
+    figure = Figure(figsize=(5.0, 4.2), layout="constrained")
+    axes = figure.add_subplot()
+    axes.plot([0, 1], [0, 1], color="0.7", linewidth=1)
+    axes.errorbar(said, shares, edges, fmt="o", capsize=3)
+    for x, y, one in zip(said, shares, right_of, strict=True):
+        axes.annotate(f"{one['of']}", (x, y), (-5, 5), textcoords="offset points", ha="right", fontsize=8)
+    axes.set(xlabel="confidence said, mean of a bin", ylabel="share of right names", xlim=(0, 1.03), ylim=(0, 1.03))
+    figure.savefig(path, dpi=110)
+
+
+_SURE = f"said {CONFIDENT:g} to 1"
+
+
 def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """Share of right names per bin of confidence, and the Brier score of all findings."""
-    pairs = [(float(c), bool(r)) for one in outcomes if "error" not in one for c, r in one["confidences"]]
-    found: dict[str, Any] = {"findings": len(pairs)}
+    good = [one for one in outcomes if "error" not in one]
+    pairs = [(float(c), bool(r)) for one in good for c, r in one["confidences"]]
+    found: dict[str, Any] = {"machines": len(good), "findings": len(pairs)}
     for low, high in (*pairwise(BINS), (CONFIDENT, 1.0)):
         inside = [(c, r) for c, r in pairs if low < c <= high or (low == 0.0 and c == 0.0)]
         if inside:
@@ -247,7 +269,7 @@ def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
                 "mean confidence": float(np.mean([c for c, _ in inside])),
                 "right": share([r for _, r in inside]),
             }
-    off = [value for one in outcomes if "error" not in one for value in one["off_by_std"].values()]
+    off = [value for one in good for value in one["off_by_std"].values()]
     found["true parameter within the stated ± (k = 2)"] = share([abs(value) <= 2.0 for value in off])
     if pairs:
         found["Brier score"] = float(np.mean([(c - r) ** 2 for c, r in pairs]))
