@@ -16,7 +16,7 @@ from drivers.errors import InputError
 from hil.diagnosis.table import TableBasis, choose_knots
 from hil.effects import Survey, survey_of
 from hil.effects.history import complete
-from hil.records.rows import Records
+from hil.records.rows import UM_PER_MM, Records
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -140,6 +140,43 @@ def kept_rows(run: Floats, seed: int, most: int = MOST_ROWS) -> Ints:
     return np.sort(np.concatenate(parts)).astype(np.int64)
 
 
+STEPS_MM = tuple(float(f"{digit}e{power}") for power in range(-2, -7, -1) for digit in (5, 2, 1))
+"""Steps of readings that are looked for, the coarsest first."""
+ON_STEP = 1e-3
+"""Part of a step that a reading may lie beside it: files have ten digits or more."""
+
+
+def coarse_step_mm(records: Records) -> float | None:
+    """The step of a readout that is coarser than the noise, mm; None for a finer one, and without repeats.
+
+    Coarser than the noise: of neighbouring repeats of a target more than half have the same error.
+    """
+    error_um = np.round(records.uncorrected_error_um, 6)
+    order = np.lexsort((np.arange(len(records)), records["direction"], records.target_mm))
+    again = (np.diff(records.target_mm[order]) == 0) & (np.diff(records["direction"][order]) == 0)
+    if not np.any(again) or np.mean(np.diff(error_um[order])[again] == 0) <= 0.5:
+        return None
+    coarsest_mm = max(
+        float(np.ptp(error_um)) / UM_PER_MM, STEPS_MM[-1]
+    )  # targets have steps too, with an error that never varies
+    return next((step for step in STEPS_MM if step <= coarsest_mm and _on_steps(records.measured_mm / step)), None)
+
+
+def unread_um(records: Records) -> Floats:
+    """What may lie between the steps of a readout that is coarser than the noise, drawn evenly over one step, µm, (n,); else zeros.
+
+    Repeats that agree to the last digit have no noise, and the slightest course beside them would be a cause.
+    """
+    step_mm = coarse_step_mm(records)
+    if step_mm is None:
+        return np.zeros(len(records))
+    return np.asarray(np.random.default_rng(len(records)).uniform(-0.5, 0.5, len(records)) * step_mm * UM_PER_MM)
+
+
+def _on_steps(values: Floats) -> bool:
+    return bool(np.all(np.abs(values - np.round(values)) < ON_STEP))
+
+
 @dataclass(frozen=True)
 class AllRows:
     """Every row of a campaign, with the selection that is searched and fitted.
@@ -155,7 +192,8 @@ class AllRows:
     @classmethod
     def of(cls, records: Records, seed: int) -> AllRows:
         """The history of each row (travel since the reversal …) is computed before rows are left out."""
-        return cls(columns_of(records), records.uncorrected_error_um, kept_rows(records.run, seed))
+        error_um = records.uncorrected_error_um + unread_um(records)
+        return cls(columns_of(records), error_um, kept_rows(records.run, seed))
 
     @property
     def searched(self) -> CampaignRows:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import AllRows, CampaignRows
+from hil.diagnosis.campaign import AllRows, CampaignRows, coarse_step_mm
 from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
 from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error
@@ -28,6 +28,7 @@ from hil.diagnosis.search.choose import Chosen, Problem, choose, may_be_misfit, 
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
 from hil.diagnosis.search.select import Selected, drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
+from hil.diagnosis.stored import can_be_held_out
 from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, within_what_was_seen
 from hil.diagnosis.verdict.held_out import (
     ONCE,
@@ -53,10 +54,11 @@ from hil.effects import ALL, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
 from hil.effects.warming import is_bounded
-from hil.records.rows import Records
+from hil.records.rows import UM_PER_MM, Records
 
 Floats = NDArray[np.float64]
 
+SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
 UNNAMED = ""
 """Stands for what is left without a name, among the names of effects."""
 
@@ -81,11 +83,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     chosen, few, opposed = without_resembling(chosen)
-    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
-    required: set[str] = set()
-    if left and dropped:
-        chosen, left, required = required_all_the_same(chosen, dropped, left)
-        dropped = tuple(name for name in dropped if name not in required)
+    chosen, left, required, dropped = _beside_the_choice(problem, chosen, dropped)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
@@ -106,32 +104,36 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     said = bool(dropped or opposed or few or below_noise or unexplained)
     extended, courses, said_of_it = _put_into_force(problem, chosen, parts.within_run_um, rows, is_alone=not said)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
-    after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     floor = pure_error(rows.columns, rows.error_um - np.sum([t.error_um(rows.columns) for t in extended.found], axis=0))
     residual_um = rows.error_um - extended.whole.error_um(rows.columns)
     alike = noise_of_repeats(floor, campaign, rows, residual_um)
     explained_um = predicted_um(
         floor, parts, len(campaign), _held(problem, noise), alike=1.0 if campaign.scale is None else alike
     )
-    unpredicted = not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
+    apart = can_be_held_out(left_out.how)
+    unpredicted = apart and not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
     unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts, alike)
-    doubted = {
+    doubted = required | beaten_by_runs(chosen) | (set(courses) & {f.effect for f in findings})
+    doubted |= {
         f.effect
         for f in findings
         if unpredicted
-        or f.effect in courses
         or is_unsure(f, findings, campaign)
         or f.is_implausible
         or _is_mostly_in_table(f, chosen, campaign)
         or (left_out.is_worse and f.term.effect.static)
     }
-    doubted |= required | beaten_by_runs(chosen)
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     findings = with_rivals(
         findings, doubted, unrecorded(effects, campaign.survey, records.columns), records.columns, carriers
     )
-    if not unexplained and _predicts_nothing(findings, left_out, explained_um):
+    if apart and not unexplained and _predicts_nothing(findings, left_out, explained_um):
         unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
+    worse = _unsure(findings) if left_out.corrects_worse else set()
+    if worse:  # the table alone predicts runs left out better
+        extended = within_what_was_seen(refitted_without(chosen, worse, noise).fit, courses, rows.columns)
+        left_out = left_out if extended.found else replace(left_out, after=left_out.before)
+    after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     found_out = Diagnosis(
         pure_error=floor,
         noise=parts,
@@ -148,21 +150,48 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         held_out=left_out.how,
         recommended=after.rms_um < alone.rms_um,
         notes=(
-            *_notes(records, campaign, dropped, after, alone),
+            *_notes(records, campaign, dropped, after, alone, held_out=apart),
+            *([SATURATED] if _is_saturated(problem, chosen) else []),
             *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
             *(
                 f"{name} does little but undo something else that was fitted to these rows: not taken"
                 for name in sorted(opposed)
             ),
+            *(f"{name} is not corrected: runs left out are worse with it than without" for name in sorted(worse)),
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *said_of_it,
-            *beyond_noise(floor, parts, Figures.of(left_out.setup).rms_um, explained_um, len(campaign), alike=alike),
+            *beyond_noise(
+                floor,
+                parts,
+                Figures.of(left_out.setup).rms_um if apart else 0.0,
+                explained_um,
+                len(campaign),
+                alike=alike,
+            ),
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
     told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
+
+
+def _beside_the_choice(
+    problem: Problem, chosen: Chosen, dropped: tuple[str, ...]
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str], tuple[str, ...]]:
+    """What is left beside the choice, which holds the dropped effects again that it requires; their names, and those still dropped."""
+    if _is_saturated(problem, chosen):
+        return chosen, (), set(), dropped
+    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
+    if not left or not dropped:
+        return chosen, left, set(), dropped
+    chosen, left, required = required_all_the_same(chosen, dropped, left)
+    return chosen, left, required, tuple(name for name in dropped if name not in required)
+
+
+def _is_saturated(problem: Problem, chosen: Chosen) -> bool:
+    """Whether the table leaves no rows to tell anything else by, as one run with a knot at each target does."""
+    return len(problem.campaign) - _held(problem, chosen.last.noise) < policy().least_dof
 
 
 def _choose(
@@ -286,13 +315,22 @@ def noise_of_repeats(floor: PureError | None, campaign: CampaignRows, rows: AllR
 
 
 def _notes(
-    records: Records, campaign: CampaignRows, dropped: Sequence[str], after: Figures, alone: Figures
+    records: Records, campaign: CampaignRows, dropped: Sequence[str], after: Figures, alone: Figures, *, held_out: bool
 ) -> Iterator[str]:
+    """held_out: whole runs were left out, which a single run does not have."""
     yield from (f"{name} is missing: made up from the row order" for name in stand_ins(records.columns))
+    for name, values in records.columns.items():
+        absent = int(np.sum(~np.isfinite(values)))
+        if 0 < absent < len(records):
+            yield f"{name} is missing in {absent} of {len(records)} rows: the column is not used"
+    if (step_mm := coarse_step_mm(records)) is not None:
+        yield f"the readings move in steps of {step_mm * UM_PER_MM:g} µm, coarser than their noise: below half a step nothing is found"
     if len(campaign) < len(records):
         yield f"searched and fitted on {len(campaign)} of {len(records)} rows, drawn evenly; the held-out figures are on all"
     yield from (f"{name} fits these rows but does not help on runs left out: not taken" for name in dropped)
-    if after.rms_um >= alone.rms_um:
+    if not held_out:
+        yield "one run only: a second one has to show whether the correction holds"
+    elif after.rms_um >= alone.rms_um:
         yield (
             f"not recommended: on rows that were not fitted the correction leaves {after.rms_um:.3g} µm RMS,"
             f" and no correction at all {alone.rms_um:.3g} µm"

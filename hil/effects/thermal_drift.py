@@ -21,6 +21,7 @@ from hil.effects.warming import (
     lag_of,
     rise,
     seen_in_rows,
+    since_start,
     temperature_forms,
     time_constants,
     time_of_rows,
@@ -67,7 +68,7 @@ class ThermalDrift(Effect):
             return rise(form, theta, columns)
         u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
         shape = np.polynomial.legendre.legvander(np.clip(u, -1.0, 1.0), POWERS - 1)
-        return np.asarray(shape * (1.0 - np.exp(-columns[form.inputs[0]] / theta[0]))[:, None])
+        return np.asarray(shape * (1.0 - np.exp(-since_start(form, columns[form.inputs[0]]) / theta[0]))[:, None])
 
     def lag(self, form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
         return lag_of(form, theta)

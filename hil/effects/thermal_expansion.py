@@ -65,6 +65,8 @@ class ThermalExpansion(Effect):
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
+        if survey.half_span_mm <= 0.0:
+            return ()  # at one place it is a drift
         forms = temperature_forms(self.id, survey, extra_inputs=("target_mm",), likely=OF_WHAT_GROWS)
         travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         if not survey.has("target_mm"):

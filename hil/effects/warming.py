@@ -38,6 +38,10 @@ a range of 180 to 1 and found to a tenth or so, a factor of 20.
 """
 Rows = NDArray[np.bool_] | slice
 ALL_ROWS = slice(None)
+LATE = 0.25
+"""Share of the time from the first row to the last by which the first comes after 0, from which on the time is counted from the first:
+1 - e^(-t / τ) is nearly constant long after its start, and a clock's time has no start at all.
+"""
 SEEN = ("least_rise_k", "most_rise_k")
 """Constants of a form by a temperature, where it is bounded: the least and the most of its rise that counts, K above 20 °C."""
 LEAST_SEEN = 0.5
@@ -143,6 +147,8 @@ def seen_in_rows(term: Term) -> Seen:
     k = len(term.coefficients)
     slow = term.form.name.removesuffix(ABOUT_A_POINT) == SLOW_WARMING
     times = [term.form.constants.get(name, default) for name, default in (("first_row", 0.0), ("last_row", math.inf))]
+    if _starts_late(term.form):
+        times = [0.0, times[1] - times[0]]
     settled = [_settled(t, tau.value) for t in times]
     share, share_slope, second, second_slope = (b - a for a, b in zip(*settled, strict=True))
     gradient = np.zeros(k + len(term.theta))
@@ -164,6 +170,23 @@ def _settled(time: float, tau: float) -> tuple[float, float, float, float]:
     if not math.isfinite(x):
         return 1.0, 0.0, 0.0, 0.0
     return 1.0 - left, -x * left / tau, x * left, -x * (1.0 - x) * left / tau
+
+
+def since_start(form: Form, time: Floats) -> Floats:
+    """The time since the start as a form counts it, shape of `time`, whose unit it has.
+
+    Where the fitted rows came late (`LATE`): since the first of them, or since the first of these rows where those do not go on by the
+    same clock; 0 before.
+    """
+    if not _starts_late(form):
+        return time
+    first, low = form.constants["first_row"], float(np.min(time))
+    return np.maximum(time - (first if low <= first <= float(np.max(time)) else low), 0.0)
+
+
+def _starts_late(form: Form) -> bool:
+    first, last = (form.constants.get(name, default) for name, default in (("first_row", 0.0), ("last_row", math.inf)))
+    return first > LATE * (last - first)
 
 
 def time_unit(term: Term) -> str:
@@ -230,7 +253,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     """
     name = _course(form)
     if name in SINCE_START:
-        x = columns[form.inputs[0]] / theta[0]
+        x = since_start(form, columns[form.inputs[0]]) / theta[0]
         settled = 1.0 - np.exp(-x)
         return settled[:, None] if name == WARMING else np.column_stack([settled, x * np.exp(-x)])
     values = columns[form.inputs[0]] - REFERENCE_C

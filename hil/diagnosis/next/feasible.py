@@ -30,7 +30,9 @@ USUAL_SPAN_MM, DIGITS = 10.0, 3
 
 
 def feasible_runs(means: Means, *, first_run: int = 1, seed: int = 0) -> tuple[PlannedRun, ...]:
-    """Every measurement that this axis could make next, its runs numbered from `first_run`."""
+    """Every measurement that this axis could make next, its runs numbered from `first_run`; none where it stands at one place."""
+    if means.span_mm <= 0.0:
+        return ()
     maker = _Maker(means, np.random.default_rng([seed, 17]), first_run)
     runs = [maker.repeat(), maker.shifted(), maker.fine(), maker.dense(), maker.reversals(), maker.returns()]
     runs.append(maker.warm_and_cool())

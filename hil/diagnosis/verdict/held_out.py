@@ -78,10 +78,18 @@ class HeldOut:
         """Whether the runs left out are worse with what was chosen without each of them than with the table alone, all together: then
         nothing that depends on position and direction alone, and so is there in every run, can be sure. Parts of one run are no runs.
         """
+        return self._is_worse(self.setup)
+
+    @property
+    def corrects_worse(self) -> bool:
+        """Whether they are so with what is corrected: then the table alone corrects better than with what is not sure."""
+        return self._is_worse(self.after)
+
+    def _is_worse(self, left_um: Floats) -> bool:
         if not can_be_held_out(self.how):
             return False
         usual = np.abs(self.before) <= GROSS * 1.4826 * float(np.median(np.abs(self.before)))
-        with_it, without = (float(np.sum(values[usual] ** 2)) for values in (self.setup, self.before))
+        with_it, without = (float(np.sum(values[usual] ** 2)) for values in (left_um, self.before))
         return bool(with_it > policy().worse_left_out ** 2 * without)
 
 
@@ -122,7 +130,9 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
         courses = courses_as_good(last.searcher, last.noise, chosen.kept)
         fit = within_what_was_seen(chosen.fit, courses, rows.columns, ~left)
         before[left] = y[left] - base.error_um(rows.columns)[left]  # of all rows: a sensor's lag does not begin anew
-        setup[left] = y[left] - fit.whole.error_um(rows.columns)[left]
+        setup[left] = (
+            y[left] - chosen.fit.whole.error_um(rows.columns)[left]
+        )  # what the cause predicts, not what is corrected
         after[left] = y[left] - fit.extended.error_um(rows.columns)[left]
         bare[left] = y[left] - fit.bare.error_um(rows.columns)[left]
         for found in structure_estimates(last.searcher, chosen.hits, last.choices, last.noise):
