@@ -32,6 +32,8 @@ MOST_ROWS = 3000
 MOST_FINDINGS = 3
 """Findings whose rivals are weighed."""
 USUAL_LOAD_KG, USUAL_STEP_MM = 50.0, 100.0
+NONE_SHOWN = 0.005
+"""Confidence below which two digits show none: no rival."""
 ALONE_MIN = "no measurement that this axis can make tells the two apart"
 
 
@@ -140,7 +142,7 @@ def follow_up(
             undecided.append(finding.effect)
         if asked is None and look.best is not None:
             asked = findings[-1], look.best
-    told = replace(diagnosis, findings=tuple(findings))
+    told = replace(diagnosis, findings=tuple(map(as_shares, findings)))
     if asked is None:
         return FollowUp(told, None, None, tuple(undecided))
     return FollowUp(told, asked[0], asked[1], tuple(undecided))
@@ -194,6 +196,14 @@ def _with_rivals(finding: Finding, look: Outlook) -> Finding:
         rivals.append(RivalFound(name, weight, best.run.describe() if best is not None else said or ALONE_MIN))
     rivals += [rival for name, rival in known.items() if name not in weights]
     return replace(finding, confidence=min(finding.confidence, weights[finding.effect]), rivals=tuple(rivals))
+
+
+def as_shares(finding: Finding) -> Finding:
+    """The finding with rivals that share what its confidence leaves of 1: some weights are of the search, others of the weighing."""
+    said = sum(rival.confidence for rival in finding.rivals)
+    share = min(1.0, (1.0 - finding.confidence) / said) if said > 0.0 else 1.0
+    rivals = (replace(rival, confidence=share * rival.confidence) for rival in finding.rivals)
+    return replace(finding, rivals=tuple(rival for rival in rivals if rival.confidence >= NONE_SHOWN))
 
 
 def _catalogue_says(finding: Finding, rival: str) -> str:
