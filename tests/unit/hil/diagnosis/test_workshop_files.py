@@ -1,0 +1,133 @@
+"""Rows as workshops bring them, made here by hand: a coarse readout, a clock's time, one run, one place, a cell left empty."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.diagnosis.campaign import coarse_step_mm, unread_um
+from hil.diagnosis.diagnosing import diagnose
+from hil.diagnosis.follow_up import as_shares, diagnosed
+from hil.diagnosis.result import Finding, RivalFound
+from hil.effects import ALL, Form, Term
+from hil.records.rows import Records
+
+Floats = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
+
+
+def iso_test(
+    runs: int = 5, targets: int = 11, noise_um: float = 0.3, *, travel_mm: float = 500.0, seed: int = 1
+) -> Records:
+    """A positioning test: `runs` times up and down, a row each 6 s, with a table's own errors and a screw that warms by 3 K."""
+    rng = np.random.default_rng(seed)
+    way = np.linspace(0.0, travel_mm, targets)
+    target = np.tile(np.concatenate([way, way[::-1]]), runs)
+    direction = np.tile(np.repeat([1.0, -1.0], targets), runs)
+    time_s = 6.0 * np.arange(len(target))
+    pitch_um = 4.0 * np.sin(target / 110.0) + 1.5 * direction + noise_um * rng.normal(size=len(target))
+    return Records.of(
+        {
+            "run": np.repeat(np.arange(1.0, runs + 1), 2 * targets),
+            "direction": direction,
+            "target_mm": target,
+            "measured_mm": target + pitch_um / 1e3,
+            "time_s": time_s,
+            "temp_screw_c": 20.0 + 3.0 * (1.0 - np.exp(-time_s / 500.0)),
+        }
+    )
+
+
+def with_error(records: Records, error_um: Floats) -> Records:
+    return records.with_column("measured_mm", records.measured_mm + error_um / 1e3)
+
+
+@pytest.mark.parametrize("step_um", [0.1, 1.0])
+def test_a_readout_coarser_than_the_noise_leaves_nothing_unexplained(step_um: float) -> None:
+    fine = iso_test(noise_um=0.1 * step_um)
+    coarse = fine.with_column("measured_mm", np.round(fine.measured_mm / (step_um / 1e3)) * step_um / 1e3)
+    assert coarse_step_mm(fine) is None
+    assert coarse_step_mm(coarse) == pytest.approx(step_um / 1e3)
+    drawn = unread_um(coarse)
+    assert np.max(np.abs(drawn)) <= 0.5 * step_um
+    assert np.std(drawn) == pytest.approx(step_um / np.sqrt(12.0), rel=0.1)
+    found = diagnose(coarse)
+    assert not found.findings
+    assert not found.unexplained
+    assert any(f"in steps of {step_um:g} µm" in note for note in found.notes)
+    left_um = fine.uncorrected_error_um + found.extended.correction_um(fine.columns)
+    assert np.sqrt(np.mean(left_um**2)) < step_um / np.sqrt(12.0) * 1.5
+
+
+def test_errors_that_are_all_zero_are_no_cause() -> None:
+    nothing = iso_test().with_column("measured_mm", iso_test().target_mm)
+    found = diagnose(nothing)
+    assert not found.findings
+    assert not found.unexplained
+
+
+@pytest.mark.parametrize("targets", [11, 26])
+def test_one_run_is_neither_unexplained_nor_judged_by_its_own_quarters(targets: int) -> None:
+    found = diagnose(iso_test(1, targets))
+    assert not found.findings
+    assert not found.unexplained
+    assert any("every degree of freedom" in note for note in found.notes)
+    assert any(note.startswith("one run only") for note in found.notes)
+    assert not any("not recommended" in note or "from run to run" in note for note in found.notes)
+
+
+@pytest.mark.parametrize("start_s", [0.0, 900.0, 32400.0, 1.7e9])
+def test_a_drift_is_the_same_whenever_the_clock_began(start_s: float) -> None:
+    """6 µm with a time constant of 200 s, that no thermometer shows."""
+    rows = iso_test()
+    rows = with_error(rows, 6.0 * (1.0 - np.exp(-rows["time_s"] / 200.0)))
+    rows = Records.of({name: values for name, values in rows.columns.items() if name != "temp_screw_c"})
+    late = rows.with_column("time_s", rows["time_s"] + start_s)
+    found = diagnose(late)
+    (drift,) = found.findings
+    assert drift.effect == "thermal_drift"
+    assert drift.rms_um == pytest.approx(np.std(6.0 * np.exp(-rows["time_s"] / 200.0)), rel=0.15)
+    assert drift.rms_std_um < 0.2 * drift.rms_um
+    assert found.after.rms_um < 0.6 * found.before.rms_um
+    for again in (late, rows):  # the same day, and another on which the clock begins at 0
+        left_um = again.uncorrected_error_um + found.extended.correction_um(again.columns)
+        assert np.std(left_um) < 0.5
+
+
+def test_a_strong_expansion_of_one_warm_up_is_all_there_is() -> None:
+    """Without the cold first run nothing predicts it, which says nothing against its cause."""
+    rows = iso_test(seed=4)
+    rows = with_error(rows, 11.5e-3 * (rows["temp_screw_c"] - 20.0) * (rows.target_mm + 100.0))
+    found = diagnose(rows)
+    assert [finding.effect for finding in found.findings] == ["thermal_expansion"]
+    assert not found.unexplained
+
+
+def test_at_one_place_nothing_grows_along_the_travel_and_no_run_is_planned() -> None:
+    rows = iso_test(travel_mm=0.0)
+    rows = with_error(rows, 2.0 * (rows["temp_screw_c"] - 20.0))
+    follow = diagnosed(rows, None)
+    assert [finding.effect for finding in follow.diagnosis.findings] == ["thermal_drift"]
+    assert "thermal_expansion" not in [
+        rival.effect for finding in follow.diagnosis.findings for rival in finding.rivals
+    ]
+    assert follow.run is None
+
+
+def test_a_column_with_an_empty_cell_is_said_to_be_left_out() -> None:
+    rows = iso_test()
+    temperature = rows["temp_screw_c"].copy()
+    temperature[7] = np.nan
+    found = diagnose(rows.with_column("temp_screw_c", temperature))
+    assert f"temp_screw_c is missing in 1 of {len(rows)} rows: the column is not used" in found.notes
+
+
+def test_a_finding_and_its_rivals_share_1() -> None:
+    """0.5 is left to two rivals said with 0.9 and 0.6: 0.3 and 0.2. One that two digits would show as 0.00 is none."""
+    known = {one.id: one for one in ALL}["thermal_drift"]
+    term = Term(known, Form(known.id, "temperature", ("temp_screw_c",)), (), (1.0,), ((0.01,),))
+    many = Finding(term, 0.5, (RivalFound("abbe", 0.9, ""), RivalFound("cyclic", 0.6, "")), 1.0)
+    assert [rival.confidence for rival in as_shares(many).rivals] == pytest.approx([0.3, 0.2])
+    few = replace(many, rivals=(RivalFound("abbe", 0.3, ""), RivalFound("cyclic", 0.003, "")))
+    assert [rival.confidence for rival in as_shares(few).rivals] == [0.3]
