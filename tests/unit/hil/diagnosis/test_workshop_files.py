@@ -97,7 +97,7 @@ def test_a_drift_is_the_same_whenever_the_clock_began(start_s: float) -> None:
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_a_cause_of_28_times_the_noise_is_all_there_is(seed: int) -> None:
-    """11.5 ppm/K about a bearing 100 mm before the travel, which one warm-up by 6 K shows: no drift of the beam beside it. Without the cold
+    """11.5 ppm/K about a bearing 100 mm before the travel, in one warm-up by 6 K: no drift of the beam beside it. Without the cold
     first run nothing predicts it, which says nothing against its cause.
     """
     rows = iso_test(seed=seed, noise_um=0.2)
