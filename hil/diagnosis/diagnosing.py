@@ -323,6 +323,8 @@ def _notes(
         absent = int(np.sum(~np.isfinite(values)))
         if 0 < absent < len(records):
             yield f"{name} is missing in {absent} of {len(records)} rows: the column is not used"
+    if "time_s" in records.columns and (back := int(np.sum(np.diff(records["time_s"]) < 0.0))):
+        yield f"time_s goes back {back} times: what depends on the time cannot be trusted; give each row the time since the first"
     if (step_mm := coarse_step_mm(records)) is not None:
         yield f"the readings move in steps of {step_mm * UM_PER_MM:g} µm, coarser than their noise: below half a step nothing is found"
     if len(campaign) < len(records):

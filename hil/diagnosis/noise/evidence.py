@@ -333,9 +333,10 @@ class Solution:
 
 LEAST_LEFT = 1e-12
 OF_NOISE = 10.0
-"""Least g times the share of the squares that is left: a g-prior counts 1 / (g · left) of the noise more, out of the effect. With g = n a
-cause of 28 times the noise was not worth more under white noise than under one with memory (the information paradox: Liang et al.,
-J. Am. Stat. Assoc. 103, 2008). Causes below sqrt(n / 10) of the noise, 5 of 300 rows, have g = n.
+"""Least g times the share of the squares that is left: a g-prior counts 1 / (g · left) of the noise more, out of the effect.
+
+With g = n a cause of 28 times the noise was worth no more under white noise than under one with memory (the information paradox: Liang
+et al., J. Am. Stat. Assoc. 103, 2008). Causes below sqrt(n / 10) of the noise, 5 times of 300 rows, have g = n.
 """
 
 

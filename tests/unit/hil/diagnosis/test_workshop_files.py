@@ -132,6 +132,13 @@ def test_a_column_with_an_empty_cell_is_said_to_be_left_out() -> None:
     assert f"temp_screw_c is missing in 1 of {len(rows)} rows: the column is not used" in found.notes
 
 
+def test_a_time_that_goes_back_is_said() -> None:
+    rows = iso_test()
+    again = rows.with_column("time_s", np.where(rows.run > 2, rows["time_s"] - 200.0, rows["time_s"]))
+    assert any(note.startswith("time_s goes back 1 times") for note in diagnose(again).notes)
+    assert not any("goes back" in note for note in diagnose(rows).notes)
+
+
 def test_a_finding_and_its_rivals_share_1() -> None:
     """0.5 is left to two rivals said with 0.9 and 0.6: 0.3 and 0.2. One that two digits would show as 0.00 is none."""
     known = {one.id: one for one in ALL}["thermal_drift"]
