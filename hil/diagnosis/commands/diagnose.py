@@ -121,8 +121,8 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
     if not diagnosis.findings:
         print("nothing in the catalogue is missing from the model")
         if diagnosis.blind:
-            names = ", ".join(one.effect for one in diagnosis.blind)
-            print(f"these rows cannot show: {names} (why: hil campaign check)")
+            unseen = ", ".join(one.effect for one in diagnosis.blind)
+            print(f"these rows cannot show: {unseen} (why: hil campaign check)")
     else:
         print_table(
             ["effect", "confidence", ("action", "left"), ("what", "left")],
