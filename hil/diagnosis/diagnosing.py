@@ -50,7 +50,7 @@ from hil.diagnosis.verdict.rivals import (
     weights_of,
     with_rivals,
 )
-from hil.effects import ALL, Effect, Estimate, Term
+from hil.effects import ALL, Action, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
 from hil.effects.warming import is_bounded
@@ -129,10 +129,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     )
     if apart and not unexplained and _predicts_nothing(findings, left_out, explained_um):
         unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
-    worse = _unsure(findings) if left_out.corrects_worse else set()
-    if worse:  # the table alone predicts runs left out better
+    worse = _corrects_worse(findings, left_out) if declared is None else set()
+    if worse:  # the table alone predicts runs left out better; a declared one may be of these rows
         extended = within_what_was_seen(refitted_without(chosen, worse, noise).fit, courses, rows.columns)
-        left_out = left_out if extended.found else replace(left_out, after=left_out.before)
+        left_out = left_out if _corrected(findings) - worse else replace(left_out, after=left_out.before)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     found_out = Diagnosis(
         pure_error=floor,
@@ -611,6 +611,15 @@ def _predicts_nothing(findings: Sequence[Finding], left_out: HeldOut, explained_
     if findings and not _unsure(findings):
         return False
     return Figures.of(left_out.setup).rms_um > policy().unsure_beyond * explained_um
+
+
+def _corrects_worse(findings: Sequence[Finding], left_out: HeldOut) -> set[str]:
+    """The effects that are not to be corrected: their names are not sure, and runs left out are worse with what is corrected."""
+    return _unsure(findings) & _corrected(findings) if left_out.corrects_worse else set()
+
+
+def _corrected(findings: Sequence[Finding]) -> set[str]:
+    return {finding.effect for finding in findings if finding.action is Action.COMPENSATE}
 
 
 def _unsure(findings: Sequence[Finding]) -> set[str]:

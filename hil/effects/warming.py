@@ -42,6 +42,8 @@ LATE = 0.25
 """Share of the time from the first row to the last by which the first comes after 0, from which on the time is counted from the first:
 1 - e^(-t / τ) is nearly constant long after its start, and a clock's time has no start at all.
 """
+FROM_THE_FIRST = "from_the_first"
+"""Constant of a form that counts so."""
 SEEN = ("least_rise_k", "most_rise_k")
 """Constants of a form by a temperature, where it is bounded: the least and the most of its rise that counts, K above 20 °C."""
 LEAST_SEEN = 0.5
@@ -115,8 +117,9 @@ def course_odds(survey: Survey) -> float:
 
 
 def time_of_rows(survey: Survey) -> dict[str, float]:
-    """Time of the first and of the last row, as constants of a form."""
-    return {"first_row": survey.time_start, "last_row": survey.time_start + survey.duration_s}
+    """Time of the first and of the last row, as constants of a form, and whether it counts the time from the first."""
+    late = {FROM_THE_FIRST: 1.0} if survey.time_start > LATE * survey.duration_s else {}
+    return {"first_row": survey.time_start, "last_row": survey.time_start + survey.duration_s, **late}
 
 
 @dataclass(frozen=True)
@@ -147,7 +150,7 @@ def seen_in_rows(term: Term) -> Seen:
     k = len(term.coefficients)
     slow = term.form.name.removesuffix(ABOUT_A_POINT) == SLOW_WARMING
     times = [term.form.constants.get(name, default) for name, default in (("first_row", 0.0), ("last_row", math.inf))]
-    if _starts_late(term.form):
+    if FROM_THE_FIRST in term.form.constants:
         times = [0.0, times[1] - times[0]]
     settled = [_settled(t, tau.value) for t in times]
     share, share_slope, second, second_slope = (b - a for a, b in zip(*settled, strict=True))
@@ -178,15 +181,10 @@ def since_start(form: Form, time: Floats) -> Floats:
     Where the fitted rows came late (`LATE`): since the first of them, or since the first of these rows where those do not go on by the
     same clock; 0 before.
     """
-    if not _starts_late(form):
+    if FROM_THE_FIRST not in form.constants:
         return time
     first, low = form.constants["first_row"], float(np.min(time))
     return np.maximum(time - (first if low <= first <= float(np.max(time)) else low), 0.0)
-
-
-def _starts_late(form: Form) -> bool:
-    first, last = (form.constants.get(name, default) for name, default in (("first_row", 0.0), ("last_row", math.inf)))
-    return first > LATE * (last - first)
 
 
 def time_unit(term: Term) -> str:

@@ -119,13 +119,24 @@ def test_columns_beside_are_as_good_as_solved_for() -> None:
 
 @given(st.floats(0.0, 0.999), st.integers(1, 5), st.integers(20, 400))
 @settings(max_examples=50, deadline=None)
-def test_the_bayes_factor_is_that_of_the_g_prior_with_unit_information(share: float, width: int, rows: int) -> None:
-    """(1 + g)^((dof - k) / 2) / (1 + g (1 - R²))^(dof / 2), g = n (Liang et al. 2008, eq. 6)."""
+def test_the_bayes_factor_is_that_of_the_g_prior_with_unit_information_or_more(
+    share: float, width: int, rows: int
+) -> None:
+    """(1 + g)^((dof - k) / 2) / (1 + g (1 - R²))^(dof / 2) (Liang et al. 2008, eq. 6); g = n, but g (1 - R²) at least 10."""
     dof = rows - 4
     value = float(bayes_factor(np.array(share), np.array(1.0), dof, width, rows))
-    expected = (dof - width) / 2 * math.log(1 + rows) - dof / 2 * math.log(1 + rows * (1 - share))
+    g = max(rows, 10 / (1 - share))
+    expected = (dof - width) / 2 * math.log(1 + g) - dof / 2 * math.log(1 + g * (1 - share))
     assert value == pytest.approx(expected, abs=1e-9)
     assert float(bayes_factor(np.array(0.0), np.array(1.0), dof, width, rows)) < 0.0
+
+
+def test_what_is_left_beside_a_strong_cause_counts_in_full() -> None:
+    """Half as much left beside 10 000 times the noise's power is worth (dof - k) / 2 · ln 2 more; with g = n a hundredth of that."""
+    dof, width = 96, 2
+    left = np.array([1e-4, 5e-5])
+    worse, better = bayes_factor(1.0 - left, np.array(1.0), dof, width, 100)
+    assert better - worse == pytest.approx((dof - width) / 2 * math.log(2.0), rel=0.01)
 
 
 def test_a_random_effect_gains_what_its_marginal_likelihood_does() -> None:
