@@ -59,6 +59,10 @@ from hil.records.rows import UM_PER_MM, Records
 Floats = NDArray[np.float64]
 
 SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
+MOST_TIMES = 10.0
+"""Standard deviation of an effect over that of all errors that cannot be. A table may take out most of an expansion: at 15 K from the
+reference temperature some five times what is left.
+"""
 UNNAMED = ""
 """Stands for what is left without a name, among the names of effects."""
 
@@ -82,13 +86,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     campaign = problem.campaign
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
-    chosen, few, opposed = without_resembling(chosen)
+    chosen, few, opposed, beyond = without_resembling(chosen)
     chosen, left, required, dropped = _beside_the_choice(problem, chosen, dropped)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
     chosen = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
-    unexplained = unexplained or bool(left)
+    unexplained = unexplained or bool(left) or beyond
     fit, noise = smooth_fit(chosen.last, chosen.kept)
     chosen = replace(chosen, fit=fit)
     parts = _noise_parts(chosen.fit.white_um, noise)
@@ -368,26 +372,28 @@ def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, t
     return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
 
 
-def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str], set[str]]:
+def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str], set[str], bool]:
     """Removes the effects that only resemble what the rows hold: those that undo something, those of a few rows far off, and those
-    that a function of other columns beats. Returns the names of the second kind and of the first too.
+    that a function of other columns beats. Returns the names of the second kind and of the first too, and whether one of the first was
+    larger than all errors, so that what it was to explain has no cause.
     """
-    chosen, opposed = without_opposed(chosen)
+    chosen, opposed, beyond = without_opposed(chosen)
     few = on_few_rows(chosen)
     chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
     lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
-    return (refitted_without(chosen, lost, chosen.last.noise) if lost else chosen), few, opposed
+    return (refitted_without(chosen, lost, chosen.last.noise) if lost else chosen), few, opposed, beyond
 
 
-def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str]]:
-    """Removes the effects that only undo another one, or what was found without a name; returns their names too.
+def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
+    """Removes the effects that only undo another one, or what was found without a name; returns their names, and whether one was far
+    larger than all errors.
 
     Two courses beside the table, both larger than the noise, are each other's opposite but for a small part: their difference is then
     as large as one likes, and no other campaign has it. Of two effects the one that the rows require less goes. (520 and -520 µm were
-    fitted to errors of 1 µm.)
+    fitted to errors of 1 µm.) So does one that is larger than all errors by far (`MOST_TIMES`): others, or the table, undo it.
     """
-    last, opposed = chosen.last, set[str]()
-    columns = last.searcher.linear.campaign.columns
+    last, opposed, beyond = chosen.last, set[str](), False
+    columns, errors_um = last.searcher.linear.campaign.columns, float(np.std(last.searcher.linear.campaign.error_um))
     while True:
         courses = {UNNAMED: chosen.fit.nuisance_um}
         for term in chosen.fit.found:
@@ -395,13 +401,16 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str]]:
         beside = {name: _beside_table(chosen, course_um) for name, course_um in courses.items()}
         size_um = {name: float(np.std(course_um)) for name, course_um in beside.items()}
         large = [name for name in beside if size_um[name] > chosen.fit.white_um]
-        left = {
+        left: dict[tuple[str, ...], float] = {
             (one, other): float(np.std(beside[one] + beside[other])) / min(size_um[one], size_um[other])
             for one, other in itertools.combinations(large, 2)
         }
-        pair = min(left, key=left.__getitem__, default=())
+        sizes_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
+        left |= {(name,): 0.0 for name in sizes_um if sizes_um[name] > MOST_TIMES * errors_um}
+        pair = min(left, key=lambda names: (left[names], -max(sizes_um.get(name, 0.0) for name in names)), default=())
         if not pair or left[pair] >= policy().opposed:
-            return chosen, opposed
+            return chosen, opposed, beyond
+        beyond = beyond or len(pair) == 1
         without = {name: refitted_without(chosen, {name}, last.noise) for name in pair if name != UNNAMED}
         less = max(without, key=lambda name: last.searcher.evidence(without[name].kept, last.noise))
         opposed.add(less)
