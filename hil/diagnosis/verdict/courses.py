@@ -27,28 +27,31 @@ from hil.effects.warming import (
 
 
 def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> dict[str, float]:
-    """By effect that follows a measured temperature where a course of the time since the start fits as well: its log odds against
-    that course.
+    """By effect that follows a measured temperature where a course of the time since the start fits as well: the log odds of all forms
+    that were found of it against that course.
     """
-    survey = searcher.linear.campaign.survey
+    campaign = searcher.linear.campaign
     found: dict[str, float] = {}
-    for i, choice in enumerate(choices):
-        name = choice.form.inputs[0] if choice.form.inputs else ""
+    for effect in dict.fromkeys(choice.effect for choice in choices):
+        mine = [choice for choice in choices if choice.effect is effect]
+        known = [c for c in mine if c.form.inputs and c.form.inputs[0] in campaign.survey.temperatures]
+        if not known:
+            continue
+        about = any(is_about_a_point(choice.form) for choice in known)
         courses = [
             course
-            for form in choice.effect.forms(survey)
-            if name in survey.temperatures
-            and is_since_start(form)
-            and is_about_a_point(form) == is_about_a_point(choice.form)
-            for course in grid_choices(choice.effect, form)
+            for form in effect.forms(campaign.survey)
+            if is_since_start(form) and is_about_a_point(form) == about
+            for course in grid_choices(effect, form)
         ]
         if not courses:
             continue
-        projection = searcher.projection(noise, searcher.extra([*choices[:i], *choices[i + 1 :]]))
-        gains, _ = score_choices(projection, [choice, *courses])
-        behind = float(gains[0]) - choice.form.log_odds - float(np.max(gains[1:] - courses[0].form.log_odds))
+        projection = searcher.projection(noise, searcher.extra([c for c in choices if c.effect is not effect]))
+        gains, _ = score_choices(projection, [*mine[:1], *courses])
+        together = projection.gain(np.hstack([c.columns(campaign) for c in mine])) if len(mine) > 1 else float(gains[0])
+        behind = together - sum(c.form.log_odds for c in mine) - float(np.max(gains[1:] - courses[0].form.log_odds))
         if behind < policy().as_well:
-            found[choice.effect.id] = behind
+            found[effect.id] = behind
     return found
 
 
