@@ -406,10 +406,12 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
             for one, other in itertools.combinations(large, 2)
         }
         sizes_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
-        left |= {(name,): 0.0 for name in sizes_um if sizes_um[name] > MOST_TIMES * errors_um}
-        pair = min(left, key=lambda names: (left[names], -max(sizes_um.get(name, 0.0) for name in names)), default=())
+        pair: tuple[str, ...] = min(left, key=left.__getitem__, default=())
         if not pair or left[pair] >= policy().opposed:
-            return chosen, opposed, beyond
+            largest = max(sizes_um, key=sizes_um.__getitem__, default=UNNAMED)
+            if sizes_um.get(largest, 0.0) <= MOST_TIMES * errors_um:
+                return chosen, opposed, beyond
+            pair = (largest,)
         beyond = beyond or len(pair) == 1
         without = {name: refitted_without(chosen, {name}, last.noise) for name in pair if name != UNNAMED}
         less = max(without, key=lambda name: last.searcher.evidence(without[name].kept, last.noise))
