@@ -122,10 +122,10 @@ def test_columns_beside_are_as_good_as_solved_for() -> None:
 def test_the_bayes_factor_is_that_of_the_g_prior_with_unit_information_or_more(
     share: float, width: int, rows: int
 ) -> None:
-    """(1 + g)^((dof - k) / 2) / (1 + g (1 - R²))^(dof / 2) (Liang et al. 2008, eq. 6); g = n, but g (1 - R²) at least 3."""
+    """(1 + g)^((dof - k) / 2) / (1 + g (1 - R²))^(dof / 2) (Liang et al. 2008, eq. 6); g = n, but g (1 - R²) at least 10."""
     dof = rows - 4
     value = float(bayes_factor(np.array(share), np.array(1.0), dof, width, rows))
-    g = max(rows, 3 / (1 - share))
+    g = max(rows, 10 / (1 - share))
     expected = (dof - width) / 2 * math.log(1 + g) - dof / 2 * math.log(1 + g * (1 - share))
     assert value == pytest.approx(expected, abs=1e-9)
     assert float(bayes_factor(np.array(0.0), np.array(1.0), dof, width, rows)) < 0.0
