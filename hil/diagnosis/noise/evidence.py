@@ -337,8 +337,8 @@ OF_NOISE = 10.0
 
 With g = n a cause of 28 times the noise was worth no more under white noise than under one with memory (the information paradox: Liang
 et al., J. Am. Stat. Assoc. 103, 2008). Causes below sqrt(n / 10) of the noise, 5 times of 300 rows, have g = n. With 1 one of two such
-causes was still missed. On the demo's rows after the loop 0.18 µm are left with 1 to 3, 0.21 with g = n and with 5 and 10; with 1 to 3 a
-declared table of the same rows changes the verdict of a machine with three causes.
+causes was still missed. On the demo's rows after the loop 0.18 µm are left with 1 to 3, 0.21 with g = n and with 5 and 10; with 1 to
+3, though, a declared table of the same rows changes the verdict of a machine with three causes.
 """
 
 
