@@ -145,8 +145,7 @@ def _section_name(name: str) -> str:
 
 def _complete(parsed: EdsText) -> None:
     """Give every object section what the interpreter needs, expand compact arrays, add the objects of orphans."""
-    counts = (whole_number(keys.get("CompactSubObj")) or 0 for keys in parsed.sections.values())
-    if sum(min(max(count, 0), MAX_COMPACT) for count in counts) > MOST_MEMBERS:
+    if sum(_compact_members(keys.get("CompactSubObj")) for keys in parsed.sections.values()) > MOST_MEMBERS:
         raise InputError(f"holds compact arrays of more than {MOST_MEMBERS} members in all")
     with_members = {match.group(1) for match in map(OBJECT.match, parsed.sections) if match and match.group(2)}
     for name in list(parsed.sections):
@@ -181,16 +180,21 @@ def _order(name: str) -> tuple[int, int]:
     return int(match.group(1), 16), -1 if match.group(2) is None else int(match.group(2), 16)
 
 
+def _compact_members(text: str | None) -> int:
+    """Number of members of a compact array; one too many counts as the most there can be, no such number as none."""
+    count = whole_number(text) or 0
+    return MAX_COMPACT if count == MAX_COMPACT + 1 else count if 0 < count <= MAX_COMPACT else 0
+
+
 def _expand(name: str, keys: dict[str, str], parsed: EdsText) -> None:
     """CompactSubObj=n: n members like the array itself (CiA-306, 4.5.2.4); values in [iiiiValue] are those of the device."""
     text = keys.pop("CompactSubObj", None)
-    count = whole_number(text)
-    if not count:
+    if not whole_number(text):
         return
-    if count == MAX_COMPACT + 1:
+    count = _compact_members(text)
+    if whole_number(text) == MAX_COMPACT + 1:
         parsed.note(f"[{name}]", f"is one too many, {MAX_COMPACT} were assumed", "CompactSubObj", text)
-        count = MAX_COMPACT
-    if not 0 < count <= MAX_COMPACT:
+    if not count:
         parsed.note(f"[{name}]", "is no number of members, left out", "CompactSubObj", text)
         return
     names = parsed.sections.pop(f"{name}Name", {})

@@ -156,21 +156,20 @@ def coarse_step_mm(records: Records) -> float | None:
     again = (np.diff(records.target_mm[order]) == 0) & (np.diff(records["direction"][order]) == 0)
     if not np.any(again) or np.mean(np.diff(error_um[order])[again] == 0) <= 0.5:
         return None
-    coarsest_mm = max(
-        float(np.ptp(error_um)) / UM_PER_MM, STEPS_MM[-1]
-    )  # targets have steps too, with an error that never varies
+    # targets have steps too, with an error that never varies
+    coarsest_mm = max(float(np.ptp(error_um)) / UM_PER_MM, STEPS_MM[-1])
     return next((step for step in STEPS_MM if step <= coarsest_mm and _on_steps(records.measured_mm / step)), None)
 
 
-def unread_um(records: Records) -> Floats:
-    """What may lie between the steps of a readout that is coarser than the noise, drawn evenly over one step, µm, (n,); else zeros.
+def unread_um(rows: int, step_mm: float | None) -> Floats:
+    """What may lie between the steps of a readout that is coarser than the noise, drawn evenly over one step, µm, (rows,); zeros for
+    None.
 
     Repeats that agree to the last digit have no noise, and the slightest course beside them would be a cause.
     """
-    step_mm = coarse_step_mm(records)
     if step_mm is None:
-        return np.zeros(len(records))
-    return np.asarray(np.random.default_rng(len(records)).uniform(-0.5, 0.5, len(records)) * step_mm * UM_PER_MM)
+        return np.zeros(rows)
+    return np.asarray(np.random.default_rng(rows).uniform(-0.5, 0.5, rows) * step_mm * UM_PER_MM)
 
 
 def _on_steps(values: Floats) -> bool:
@@ -182,18 +181,20 @@ class AllRows:
     """Every row of a campaign, with the selection that is searched and fitted.
 
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,); kept: indices of the selection,
-    ascending, (m,)
+    ascending, (m,); step_mm: of a readout that is coarser than the noise
     """
 
     columns: Mapping[str, Floats]
     error_um: Floats
     kept: Ints
+    step_mm: float | None = None
 
     @classmethod
     def of(cls, records: Records, seed: int) -> AllRows:
         """The history of each row (travel since the reversal …) is computed before rows are left out."""
-        error_um = records.uncorrected_error_um + unread_um(records)
-        return cls(columns_of(records), error_um, kept_rows(records.run, seed))
+        step_mm = coarse_step_mm(records)
+        error_um = records.uncorrected_error_um + unread_um(len(records), step_mm)
+        return cls(columns_of(records), error_um, kept_rows(records.run, seed), step_mm)
 
     @property
     def searched(self) -> CampaignRows:

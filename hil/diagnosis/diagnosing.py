@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import AllRows, CampaignRows, coarse_step_mm
+from hil.diagnosis.campaign import AllRows, CampaignRows
 from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
 from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error
@@ -87,7 +87,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left_out = held_out(problem, chosen, rows)
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     chosen, few, opposed, beyond = without_resembling(chosen)
-    chosen, left, required, dropped = _beside_the_choice(problem, chosen, dropped)
+    is_saturated = _is_saturated(problem, chosen)
+    chosen, left, required, dropped = (
+        (chosen, (), set(), dropped) if is_saturated else _beside_the_choice(chosen, dropped)
+    )
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
@@ -154,8 +157,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         held_out=left_out.how,
         recommended=after.rms_um < alone.rms_um,
         notes=(
-            *_notes(records, campaign, dropped, after, alone, held_out=apart),
-            *([SATURATED] if _is_saturated(problem, chosen) else []),
+            *_notes(records, rows, dropped, after, alone, held_out=apart),
+            *([SATURATED] if is_saturated else []),
             *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
             *(
                 f"{name} does little but undo something else that was fitted to these rows: not taken"
@@ -181,11 +184,9 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
 
 
 def _beside_the_choice(
-    problem: Problem, chosen: Chosen, dropped: tuple[str, ...]
+    chosen: Chosen, dropped: tuple[str, ...]
 ) -> tuple[Chosen, tuple[LeftOver, ...], set[str], tuple[str, ...]]:
     """What is left beside the choice, which holds the dropped effects again that it requires; their names, and those still dropped."""
-    if _is_saturated(problem, chosen):
-        return chosen, (), set(), dropped
     left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
     if not left or not dropped:
         return chosen, left, set(), dropped
@@ -319,7 +320,7 @@ def noise_of_repeats(floor: PureError | None, campaign: CampaignRows, rows: AllR
 
 
 def _notes(
-    records: Records, campaign: CampaignRows, dropped: Sequence[str], after: Figures, alone: Figures, *, held_out: bool
+    records: Records, rows: AllRows, dropped: Sequence[str], after: Figures, alone: Figures, *, held_out: bool
 ) -> Iterator[str]:
     """held_out: whole runs were left out, which a single run does not have."""
     yield from (f"{name} is missing: made up from the row order" for name in stand_ins(records.columns))
@@ -329,10 +330,11 @@ def _notes(
             yield f"{name} is missing in {absent} of {len(records)} rows: the column is not used"
     if "time_s" in records.columns and (back := int(np.sum(np.diff(records["time_s"]) < 0.0))):
         yield f"time_s goes back {back} times: what depends on the time cannot be trusted; give each row the time since the first"
-    if (step_mm := coarse_step_mm(records)) is not None:
-        yield f"the readings move in steps of {step_mm * UM_PER_MM:g} µm, coarser than their noise: below half a step nothing is found"
-    if len(campaign) < len(records):
-        yield f"searched and fitted on {len(campaign)} of {len(records)} rows, drawn evenly; the held-out figures are on all"
+    if rows.step_mm is not None:
+        step_um = rows.step_mm * UM_PER_MM
+        yield f"the readings move in steps of {step_um:g} µm, coarser than their noise: below half a step nothing is found"
+    if len(rows.kept) < len(records):
+        yield f"searched and fitted on {len(rows.kept)} of {len(records)} rows, drawn evenly; the held-out figures are on all"
     yield from (f"{name} fits these rows but does not help on runs left out: not taken" for name in dropped)
     if not held_out:
         yield "one run only: a second one has to show whether the correction holds"
@@ -405,14 +407,13 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
             (one, other): float(np.std(beside[one] + beside[other])) / min(size_um[one], size_um[other])
             for one, other in itertools.combinations(large, 2)
         }
-        sizes_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
         pair: tuple[str, ...] = min(left, key=left.__getitem__, default=())
         if not pair or left[pair] >= policy().opposed:
-            largest = max(sizes_um, key=sizes_um.__getitem__, default=UNNAMED)
-            if sizes_um.get(largest, 0.0) <= MOST_TIMES * errors_um:
+            whole_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
+            largest = max(whole_um, key=whole_um.__getitem__, default=UNNAMED)
+            if whole_um.get(largest, 0.0) <= MOST_TIMES * errors_um:
                 return chosen, opposed, beyond
-            pair = (largest,)
-        beyond = beyond or len(pair) == 1
+            pair, beyond = (largest,), True
         without = {name: refitted_without(chosen, {name}, last.noise) for name in pair if name != UNNAMED}
         less = max(without, key=lambda name: last.searcher.evidence(without[name].kept, last.noise))
         opposed.add(less)

@@ -225,7 +225,7 @@ def is_unlike_along(form: Form) -> bool:
 
 def as_far_as_seen(term: Term, columns: Columns, rows: Rows = ALL_ROWS) -> Term:
     """A term by a temperature, the rise of which counts no further than on some rows of these columns, or than it did."""
-    free = replace(term.form, constants={k: v for k, v in term.form.constants.items() if k not in SEEN})
+    free = _unbounded(term.form)
     risen = rise(free, term.theta, columns)[rows]
     least, most = (term.form.constants.get(name, float(risen[0, 0])) for name in SEEN)
     bounds = min(least, float(np.min(risen))), max(most, float(np.max(risen)))
@@ -239,8 +239,11 @@ def is_bounded(term: Term) -> bool:
 
 def goes_beyond_what_was_seen(term: Term, columns: Columns) -> NDArray[np.bool_]:
     """The rows of these columns, shape (n,), on which the temperature's rise is beyond the bound of a bounded term."""
-    free = replace(term.form, constants={k: v for k, v in term.form.constants.items() if k not in SEEN})
-    return np.asarray(rise(free, term.theta, columns) != rise(term.form, term.theta, columns))[:, 0]
+    return np.asarray(rise(_unbounded(term.form), term.theta, columns) != rise(term.form, term.theta, columns))[:, 0]
+
+
+def _unbounded(form: Form) -> Form:
+    return replace(form, constants={name: value for name, value in form.constants.items() if name not in SEEN})
 
 
 def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:

@@ -331,7 +331,6 @@ class Solution:
     residual: Floats
 
 
-LEAST_LEFT = 1e-12
 OF_NOISE = 10.0
 """Least g times the share of the squares that is left: a g-prior counts 1 / (g · left) of the noise more, out of the effect.
 
@@ -365,7 +364,7 @@ def bayes_factor(explained: Reals, rss: Floats, dof: int, width: Ints | int, inf
     """Log Bayes factor of the g-prior for blocks of `width` columns that explain `explained` of `rss`; g: `information`, or more
     (`OF_NOISE`).
     """
-    left = np.clip(1.0 - explained / rss, LEAST_LEFT, 1.0)
+    left = np.clip(1.0 - explained / rss, 1e-12, 1.0)
     g = np.maximum(float(information), OF_NOISE / left)
     return np.asarray(0.5 * (dof - width) * np.log1p(g) - 0.5 * dof * np.log1p(g * left))
 

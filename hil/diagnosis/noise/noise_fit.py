@@ -14,7 +14,7 @@ from scipy.linalg.lapack import dpotrf
 from scipy.optimize import minimize
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.noise.evidence import LEAST_LEFT, OF_NOISE, Extra, LinearCampaign, Noise, log_prior
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, bayes_factor, log_prior
 from hil.diagnosis.policy import policy
 
 Floats = NDArray[np.float64]
@@ -107,9 +107,7 @@ class Profile:
         constant = self.log_v + 2.0 * float(np.log(root[:p]).sum()) - log_ridge
         value = -0.5 * (constant + dof * math.log(rss)) + log_prior(self.start.ar, self.start.rho, offset)
         if self.k:
-            left = min(max(1.0 - seen / rss, LEAST_LEFT), 1.0)
-            g = max(float(self.rows), OF_NOISE / left)  # as in `bayes_factor`
-            value += 0.5 * (dof - self.k) * math.log1p(g) - 0.5 * dof * math.log1p(g * left)
+            value += float(bayes_factor(np.array(seen), np.array(rss), dof, self.k, self.rows))
         return value
 
     def best(self, point: Floats, step: float, trials: int = 30) -> tuple[float, Floats]:

@@ -130,9 +130,8 @@ def held_out(problem: Problem, whole: Chosen, rows: AllRows) -> HeldOut:
         courses = courses_as_good(last.searcher, last.noise, chosen.kept)
         fit = within_what_was_seen(chosen.fit, courses, rows.columns, ~left)
         before[left] = y[left] - base.error_um(rows.columns)[left]  # of all rows: a sensor's lag does not begin anew
-        setup[left] = (
-            y[left] - chosen.fit.whole.error_um(rows.columns)[left]
-        )  # what the cause predicts, not what is corrected
+        # what the cause predicts, not what is corrected: without the bound
+        setup[left] = y[left] - chosen.fit.whole.error_um(rows.columns)[left]
         after[left] = y[left] - fit.extended.error_um(rows.columns)[left]
         bare[left] = y[left] - fit.bare.error_um(rows.columns)[left]
         for found in structure_estimates(last.searcher, chosen.hits, last.choices, last.noise):

@@ -153,7 +153,6 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
         "carried_by": told.get("carried_by", []),
         "noise_floor_um": told["noise_floor_um"],
         "notes": told.get("notes", []),
-        "next_measurement": told.get("next_measurement"),
         "seconds": told["seconds"],
         "verb_seconds": took_s,
         **left,

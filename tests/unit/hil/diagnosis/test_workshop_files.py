@@ -49,7 +49,7 @@ def test_a_readout_coarser_than_the_noise_leaves_nothing_unexplained(step_um: fl
     coarse = fine.with_column("measured_mm", np.round(fine.measured_mm / (step_um / 1e3)) * step_um / 1e3)
     assert coarse_step_mm(fine) is None
     assert coarse_step_mm(coarse) == pytest.approx(step_um / 1e3)
-    drawn = unread_um(coarse)
+    drawn = unread_um(len(coarse), coarse_step_mm(coarse))
     assert np.max(np.abs(drawn)) <= 0.5 * step_um
     assert np.std(drawn) == pytest.approx(step_um / np.sqrt(12.0), rel=0.1)
     found = diagnose(coarse)
