@@ -16,6 +16,7 @@ from drivers.errors import InputError
 from hil.diagnosis.table import TableBasis, choose_knots
 from hil.effects import Survey, survey_of
 from hil.effects.history import complete
+from hil.effects.thermometers import most_noise
 from hil.records.rows import UM_PER_MM, Records
 
 Floats = NDArray[np.float64]
@@ -181,12 +182,13 @@ class AllRows:
     """Every row of a campaign, with the selection that is searched and fitted.
 
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,); kept: indices of the selection,
-    ascending, (m,); step_mm: of a readout that is coarser than the noise
+    ascending, (m,); as_read: columns of slow sensors with their noise, (n,); step_mm: of a readout that is coarser than the noise
     """
 
     columns: Mapping[str, Floats]
     error_um: Floats
     kept: Ints
+    as_read: Mapping[str, Floats]
     step_mm: float | None = None
 
     @classmethod
@@ -194,13 +196,19 @@ class AllRows:
         """The history of each row (travel since the reversal …) is computed before rows are left out."""
         step_mm = coarse_step_mm(records)
         error_um = records.uncorrected_error_um + unread_um(len(records), step_mm)
-        return cls(columns_of(records), error_um, kept_rows(records.run, seed), step_mm)
+        read = {name: values for name, values in records.columns.items() if most_noise(name) is not None}
+        return cls(columns_of(records), error_um, kept_rows(records.run, seed), read, step_mm)
 
     @property
     def searched(self) -> CampaignRows:
         """The selected rows. Raises InputError for fewer than 4."""
         kept = {name: values[self.kept] for name, values in self.columns.items()}
         return campaign_of(kept, self.error_um[self.kept])
+
+    @property
+    def searched_as_read(self) -> dict[str, Floats]:
+        """The columns of the selected rows, with the noise of thermometers and of the air's sensors as a correction reads it."""
+        return {name: self.as_read.get(name, values)[self.kept] for name, values in self.columns.items()}
 
     def __len__(self) -> int:
         return len(self.error_um)

@@ -26,10 +26,11 @@ from hil.diagnosis.remainder.null import row_scale
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
 from hil.diagnosis.search.choose import Chosen, Problem, choose, may_be_misfit, problem_of, settle
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
+from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
 from hil.diagnosis.search.select import Selected, drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
 from hil.diagnosis.stored import can_be_held_out
-from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, within_what_was_seen
+from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, steadier, within_what_was_seen
 from hil.diagnosis.verdict.held_out import (
     ONCE,
     HeldOut,
@@ -96,8 +97,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     left = tuple(one for one in left if one not in misfits)
     chosen = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
     unexplained = unexplained or bool(left) or beyond
-    fit, noise = smooth_fit(chosen.last, chosen.kept)
-    chosen = replace(chosen, fit=fit)
+    chosen, noise, sharper = _at_its_best(chosen, rows)
     parts = _noise_parts(chosen.fit.white_um, noise)
     found = _findings(chosen, campaign.columns, noise)
     below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
@@ -168,6 +168,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *said_of_it,
+            *sharper,
             *beyond_noise(
                 floor,
                 parts,
@@ -247,6 +248,23 @@ def smooth_fit(selected: Selected, choices: Sequence[Choice]) -> tuple[JointFit,
     """The fit of some choices beside a table as smooth as the rows show, and its noise model."""
     noise = selected.searcher.smooth(choices, selected.noise)
     return selected.searcher.fit_of_unknown_noise(choices, noise), noise
+
+
+def _at_its_best(chosen: Chosen, rows: AllRows) -> tuple[Chosen, Noise, list[str]]:
+    """The choice as it is corrected, with its parameters where they are likeliest beside a table as smooth as the rows show; its noise
+    model, and notes.
+    """
+    last, kept = chosen.last, chosen.kept
+    noise = last.searcher.smooth(kept, last.noise)
+    steady, notes = steadier(last.searcher, noise, kept, rows.searched_as_read)
+    moved = at_the_maximum(last.searcher, steady, noise)
+    fit = with_regions(last.searcher, last.searcher.fit_of_unknown_noise(moved, noise), moved, noise)
+    away = tuple(one for one in last.choices if not any(one is other for other in kept))
+    return (
+        replace(chosen, selections=(*chosen.selections[:-1], replace(last, choices=(*moved, *away))), fit=fit),
+        noise,
+        notes,
+    )
 
 
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:

@@ -33,6 +33,8 @@ def pooled(name: str, parts: Sequence[tuple[Estimate, float]]) -> Estimate:
     """
     if name.startswith(BOUNDS):
         return (min if name.startswith("least_") else max)((one for one, _ in parts), key=lambda one: one.value)
+    if len(parts) == 1:
+        return parts[0][0]
     whole = sum(share for _, share in parts)
     mean = sum(one.value * share for one, share in parts) / whole
     variance = sum((one.std**2 + (one.value - mean) ** 2) * share for one, share in parts) / whole
@@ -301,10 +303,16 @@ def _figures(figures: Figures) -> dict[str, float]:
     return {"rms_um": figures.rms_um, "peak_um": figures.peak_um}
 
 
+def _estimate(one: Estimate) -> dict[str, float]:
+    """Value, standard uncertainty, and the ends of the interval at 95 %; a bound, which has no uncertainty, has none."""
+    ends = dict(zip(("low", "high"), one.interval, strict=True)) if one.std > 0.0 else {}
+    return {"value": one.value, "std": one.std, **ends}
+
+
 def _finding(finding: Finding) -> dict[str, Any]:
     return {
         "effect": finding.effect,
-        "parameters": {name: {"value": e.value, "std": e.std} for name, e in finding.parameters.items()},
+        "parameters": {name: _estimate(one) for name, one in finding.parameters.items()},
         "follows": {term.needs[0]: share for term, share in finding.follows},
         "confidence": finding.confidence,
         "action": finding.action.value,

@@ -12,6 +12,10 @@ from hil.effects.base import UM_PER_MM_PPM, Action, Columns, Effect, Estimate, F
 from hil.effects.survey import Survey
 
 INDEX = "air index"
+LEAST_SHARE, MOST_SHARE = -1.5, 3.0
+"""Shares of the full effect that can be: 1 where nothing is compensated, -1 where all is twice, by instrument and control; more where
+a sensor that is wrong is compensated with as well.
+"""
 
 
 class AirIndex(Effect):
@@ -50,8 +54,6 @@ class AirIndex(Effect):
 
     def implausible(self, term: Term) -> str | None:
         share = term.coefficients[0]
-        return (
-            f"{share:.2g} times the full effect of the air is more than switching compensation off does"
-            if abs(share) > 3
-            else None
-        )
+        if LEAST_SHARE <= share <= MOST_SHARE:
+            return None
+        return f"{share:.2g} times the full effect of the air is neither compensation switched off nor applied twice"

@@ -31,6 +31,10 @@ MOST_UNSURE = 0.5
 """Relative standard deviation up to which a positive parameter is given as a value; beyond it its interval of two of them would
 hold zero, and it is given as the bounds that the rows do determine.
 """
+COVERS = 2.0
+"""Standard uncertainties about the value that an interval at 95 % reaches, as of every expanded uncertainty here (k = 2)."""
+SYMMETRIC = 0.25
+"""Share of the expanded uncertainty by which an end of an interval may be elsewhere for it to be given as value ± uncertainty."""
 POINT_KNOWN_TO = 3.0
 """Standard deviations by which what changes along the travel must differ from zero for the point where it is zero to be given."""
 FARTHEST_POINT = 3.0
@@ -54,14 +58,30 @@ class Action(Enum):
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value with its standard uncertainty (k = 1), both in the unit of the parameter's name; as text with the expanded (k = 2)."""
+    """A value with its standard uncertainty (k = 1), both in the unit of the parameter's name; as text with the expanded (k = 2).
+
+    profiled: its interval of profile likelihood at 95 %, where the model is not linear in it; as text where it is not symmetric
+    """
 
     value: float
     std: float
+    profiled: tuple[float, float] | None = None
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """The interval at 95 %."""
+        return self.profiled or (self.value - COVERS * self.std, self.value + COVERS * self.std)
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether twice the standard uncertainty says as much as the interval."""
+        sides = (self.value - self.interval[0], self.interval[1] - self.value)
+        return all(abs(side - 2.0 * self.std) <= SYMMETRIC * 2.0 * self.std for side in sides)
 
     def __str__(self) -> str:
-        expanded = float(f"{2.0 * self.std:.2g}")
-        return f"{self.value:.4g} ± {expanded:g}"
+        if not self.is_symmetric:
+            return f"{self.value:.4g} ({self.interval[0]:.4g} to {self.interval[1]:.4g})"
+        return f"{self.value:.4g} ± {float(f'{2.0 * self.std:.2g}'):g}"
 
 
 @dataclass(frozen=True)
@@ -243,6 +263,8 @@ class Term:
 
     theta: the non-linear parameters, in the order of form.nonlinear
     coefficients: shape (k,); covariance: of (coefficients, theta), shape (k + t, k + t)
+    likely: surface of the region of (coefficients, theta) within which no single quantity is less likely than at 95 %, (m, k + t): the
+    range of a quantity over it is its interval of profile likelihood; None where it is not known, as of a term that was read
     """
 
     effect: Effect
@@ -250,6 +272,7 @@ class Term:
     theta: tuple[float, ...]
     coefficients: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
+    likely: Floats | None = field(default=None, compare=False, repr=False)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -290,24 +313,37 @@ class Term:
     def coefficient(self, index: int, scale: float = 1.0) -> Estimate:
         """One linear coefficient times `scale`, with its standard uncertainty."""
         return Estimate(
-            self.coefficients[index] * scale, math.sqrt(max(self.covariance[index][index], 0.0)) * abs(scale)
+            self.coefficients[index] * scale,
+            math.sqrt(max(self.covariance[index][index], 0.0)) * abs(scale),
+            self.range_of(lambda points: points[:, index] * scale),
         )
 
     def nonlinear(self, index: int) -> Estimate:
         """One non-linear parameter with its standard uncertainty, NaN where the fit gave none."""
-        k = len(self.coefficients)
-        return Estimate(self.theta[index], math.sqrt(max(self.covariance[k + index][k + index], 0.0)))
+        at = len(self.coefficients) + index
+        std = math.sqrt(max(self.covariance[at][at], 0.0))
+        return Estimate(self.theta[index], std, self.range_of(lambda points: points[:, at]))
+
+    def range_of(self, quantity: Callable[[Floats], Floats]) -> tuple[float, float] | None:
+        """Least and largest value of a quantity of the points (m, k + t) of `likely`, (m,); None where those are not known."""
+        if self.likely is None:
+            return None
+        values = quantity(self.likely)
+        return float(np.min(values)), float(np.max(values))
 
     def positive(self, index: int, name: str) -> dict[str, Estimate]:
-        """A positive non-linear parameter under its name, or what is known of it: "least_" and "most_", two standard deviations
-        of its logarithm away, none beyond the range that was searched.
+        """A positive non-linear parameter under its name, or what is known of it: "least_" and "most_", the ends of its interval of
+        profile likelihood, or two standard deviations of its logarithm away; none beyond the range that was searched.
         """
         parameter, found = self.form.nonlinear[index], self.nonlinear(index)
-        if found.std <= MOST_UNSURE * found.value:
-            return {name: found}
         factor = math.exp(min(2.0 * found.std / found.value, 50.0))
-        bounds = {f"least_{name}": found.value / factor, f"most_{name}": found.value * factor}
-        return {key: Estimate(bound, 0.0) for key, bound in bounds.items() if parameter.lower < bound < parameter.upper}
+        low, high = found.profiled or (found.value / factor, found.value * factor)
+        widest = max(found.std, 0.25 * (high - low)) if found.profiled else found.std
+        if widest <= MOST_UNSURE * found.value:
+            return {name: found}
+        inside = parameter.lower * (1.0 + STEP), parameter.upper * (1.0 - STEP)
+        bounds = {f"least_{name}": low, f"most_{name}": high}
+        return {key: Estimate(bound, 0.0) for key, bound in bounds.items() if inside[0] < bound < inside[1]}
 
     def positive_text(self, index: int, unit: str) -> str:
         """The same in words."""
@@ -328,7 +364,7 @@ class Term:
         return Estimate(float(basis[0] @ coefficients), math.sqrt(max(variance, 0.0)))
 
     def derived(self, quantity: Callable[[Floats, Floats], float]) -> Estimate:
-        """A quantity of coefficients (k,) and parameters (t,) with its first-order uncertainty, by central differences."""
+        """A quantity of coefficients (k,) and parameters (t,): first-order uncertainty, by central differences, and profile."""
         k = len(self.coefficients)
         values = np.array([*self.coefficients, *self.theta])
         gradient = np.zeros(len(values))
@@ -338,7 +374,8 @@ class Term:
             sides = [quantity(shifted[:k], shifted[k:]) for shifted in (values + step, values - step)]
             gradient[i] = (sides[0] - sides[1]) / (2.0 * step[i])
         variance = float(gradient @ np.array(self.covariance) @ gradient)
-        return Estimate(quantity(values[:k], values[k:]), math.sqrt(max(variance, 0.0)))
+        profiled = self.range_of(lambda points: np.array([quantity(one[:k], one[k:]) for one in points]))
+        return Estimate(quantity(values[:k], values[k:]), math.sqrt(max(variance, 0.0)), profiled)
 
     def amplitude(self, i: int, j: int) -> Estimate:
         """√(a² + b²) of coefficients i and j, with first-order uncertainty."""
@@ -348,7 +385,7 @@ class Term:
             return Estimate(0.0, math.sqrt(max(self.covariance[i][i], 0.0)))
         c = self.covariance
         variance = (a * a * c[i][i] + 2 * a * b * c[i][j] + b * b * c[j][j]) / size**2
-        return Estimate(size, math.sqrt(max(variance, 0.0)))
+        return Estimate(size, math.sqrt(max(variance, 0.0)), self.range_of(lambda p: np.hypot(p[:, i], p[:, j])))
 
     def angle(self, i: int, j: int) -> Estimate:
         """atan2(coefficient j, coefficient i) in rad, with first-order uncertainty."""

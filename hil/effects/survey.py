@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.effects.history import time_column
-from hil.effects.thermometers import TEMPERATURE
+from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE
 
 Floats = NDArray[np.float64]
 
@@ -74,6 +74,13 @@ class Survey:
     def temperatures(self) -> tuple[str, ...]:
         """The temperature columns of the machine (`temp_<place>_c`) that vary."""
         return tuple(sorted(name for name in self.varying if TEMPERATURE.fullmatch(name)))
+
+    @property
+    def warmth(self) -> tuple[str, ...]:
+        """The temperatures that the machine may follow: its own or, where none was logged, that of the air it stands in."""
+        if any(TEMPERATURE.fullmatch(name) for name in self.mean):
+            return self.temperatures
+        return (AIR_TEMPERATURE,) if self.has(AIR_TEMPERATURE) else ()
 
     @property
     def other_axes(self) -> tuple[str, ...]:

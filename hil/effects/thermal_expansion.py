@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -198,4 +199,10 @@ def fixed_point_mm(term: Term) -> Estimate | None:
     steep = growth.value + 2.0 * bend * (point - centre)
     if abs(steep) <= POINT_KNOWN_TO * math.sqrt(max(float(slope @ covariance @ slope), 0.0)):
         return None
-    return Estimate(point, math.sqrt(max(float(value @ covariance @ value), 0.0)) / abs(steep))
+    std = math.sqrt(max(float(value @ covariance @ value), 0.0)) / abs(steep)
+    return Estimate(point, std, None if bend else term.range_of(partial(_straight_zeros, offset=_offset_index(term))))
+
+
+def _straight_zeros(points: Floats, offset: int) -> Floats:
+    """Where a straight growth is zero, mm, (m,), of points (m, k + t) whose coefficient of the rise itself has this index."""
+    return -points[:, offset] / UM_PER_MM_PPM / points[:, 0]

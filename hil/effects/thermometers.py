@@ -26,7 +26,8 @@ Floats = NDArray[np.float64]
 
 TEMPERATURE = re.compile(r"temp_\w+_c")
 """Names of the columns of the machine's temperatures."""
-AIR = {"air_temp_c": 0.05, "air_pressure_hpa": 0.06, "air_humidity_percent": 0.5}
+AIR_TEMPERATURE = "air_temp_c"
+AIR = {AIR_TEMPERATURE: 0.05, "air_pressure_hpa": 0.06, "air_humidity_percent": 0.5}
 """Noise of a sensor of the air, in its unit, up to which it is the sensor's: a resolution of 0.2 hPa has 0.06. What the air does
 from row to row within it is lost: on a dead path of a metre 0.05 µm by the temperature and 0.02 µm by the pressure. A thermometer
 does not tell the whole path that fast, a barometer would.

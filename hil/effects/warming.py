@@ -103,7 +103,7 @@ def temperature_forms(
 
 def column_odds(survey: Survey, likely: tuple[str, ...] = ()) -> dict[str, float]:
     """Prior log odds of each temperature among those that were logged: half of the prior to the likely ones, where there are any."""
-    names = survey.temperatures
+    names = survey.warmth
     first = [name for name in names if name in likely]
     weight = {name: 1.0 / len(names) for name in names}
     if first and len(first) < len(names):

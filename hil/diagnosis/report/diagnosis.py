@@ -28,6 +28,7 @@ from hil.app.report.data import NamedCampaign
 from hil.app.report.svg import Ground, Theme
 from hil.app.report.views import View, finding_view, list_of, object_of, objects_of, position_view, value_of
 from hil.diagnosis.report import left_over
+from hil.effects import Estimate
 from hil.figures.verdict import FITTED_PLUS_MINUS
 
 ACTIONS = {
@@ -86,11 +87,25 @@ def _in_short(finding: Mapping[str, Any]) -> str:
         value, std = value_of(form, "value"), value_of(form, "std")
         if value is not None and std:  # 0: a bound, not a fitted value
             word, unit = with_unit(name)
+            ends = _ends(form)
             spread = f"{markup.significant(value)} ± {markup.significant(2.0 * std, 2)}"
+            if ends is not None and not Estimate(value, std, ends).is_symmetric:
+                spread = f"{markup.significant(value)} ({_range(form)})"
             sizes.append(f"{word} {spread}" + (f" {unit}" if unit != "1" else ""))
     sure = value_of(finding, "confidence")
     told = [*sizes[:2], *([] if sure is None else [f"confidence {percent(sure)}"])]
     return f"{finding.get('effect')}" + (f" ({', '.join(told)})" if told else "")
+
+
+def _ends(form: object) -> tuple[float, float] | None:
+    """The interval of a parameter at 95 %; None where the result, an older one, has none."""
+    low, high = value_of(form, "low"), value_of(form, "high")
+    return None if low is None or high is None else (low, high)
+
+
+def _range(form: object) -> str:
+    ends = _ends(form)
+    return "" if ends is None else " to ".join(markup.significant(end) for end in ends)
 
 
 _ENDINGS = {
@@ -185,11 +200,16 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
         Paragraph((Span(str(finding.get("explanation", ""))), Span(sure, "muted"))),
     ]
     rows = tuple(
-        (name, markup.significant(value_of(value, "value")), markup.significant(value_of(value, "std"), 2))
+        (
+            name,
+            markup.significant(value_of(value, "value")),
+            markup.significant(value_of(value, "std"), 2),
+            _range(value),
+        )
         for name, value in object_of(finding.get("parameters")).items()
     )
     if rows:
-        parts.append(Table(("parameter", "value", "standard uncertainty (k = 1)"), rows, "numbers"))
+        parts.append(Table(("parameter", "value", "standard uncertainty (k = 1)", "interval at 95 %"), rows, "numbers"))
     for rival in objects_of(finding.get("rivals")):
         share = value_of(rival, "confidence")
         weight = f" ({percent(share)})" if share is not None else ""

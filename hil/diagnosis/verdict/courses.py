@@ -13,9 +13,9 @@ import numpy as np
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import Choice, JointFit, grid_choices
-from hil.diagnosis.search.rank import score_choices
+from hil.diagnosis.search.rank import refine, score_choices
 from hil.diagnosis.search.searcher import Searcher
-from hil.effects import Columns, Term
+from hil.effects import Columns, Effect, Term
 from hil.effects.warming import (
     ALL_ROWS,
     Rows,
@@ -34,7 +34,7 @@ def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice])
     found: dict[str, float] = {}
     for effect in dict.fromkeys(choice.effect for choice in choices):
         mine = [choice for choice in choices if choice.effect is effect]
-        known = [c for c in mine if c.form.inputs and c.form.inputs[0] in campaign.survey.temperatures]
+        known = [c for c in mine if c.form.inputs and c.form.inputs[0] in campaign.survey.warmth]
         if not known:
             continue
         about = any(is_about_a_point(choice.form) for choice in known)
@@ -53,6 +53,43 @@ def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice])
         if behind < policy().as_well:
             found[effect.id] = behind
     return found
+
+
+def steadier(
+    searcher: Searcher, noise: Noise, choices: Sequence[Choice], read: Columns
+) -> tuple[tuple[Choice, ...], list[str]]:
+    """The choices without forms of one effect that undo each other, where they cost a correction more than they gain; notes of it.
+
+    Two forms that follow a thermometer are together as sharp as the rows say: 64 and -54 ppm/K through a lag of 8 s are a screw that
+    leads its thermometer. A correction has each reading as it comes, with the noise that a fit takes out of whole records, and so a
+    difference of large coefficients of it. Where that is more than one form alone leaves, in the mean square, this is taken.
+
+    read: the columns with the temperatures as they were read, (n,) each
+    """
+    columns, notes, kept = searcher.linear.campaign.columns, list[str](), tuple(choices)
+    for effect in dict.fromkeys(choice.effect for choice in choices):
+        mine = [choice for choice in kept if choice.effect is effect]
+        if effect.several or len(mine) == 1 or not any(follows_a_temperature(choice.form) for choice in mine):
+            continue
+        others = [choice for choice in kept if choice.effect is not effect]
+        alone = max(refine(searcher.projection(noise, searcher.extra(others)), mine), key=lambda pair: pair[1])[0]
+        both, single = (searcher.fit(some, noise, uncertain=False) for some in (kept, [*others, alone]))
+        lost_um = float(np.std(both.whole.error_um(columns) - single.whole.error_um(columns)))
+        added_um = _as_it_comes_um(both, effect, columns, read)
+        if added_um**2 - _as_it_comes_um(single, effect, columns, read) ** 2 > lost_um**2:
+            kept = tuple(alone if choice is mine[0] else choice for choice in kept if choice not in mine[1:])
+            notes.append(
+                f"{effect.id} is corrected by {alone.form.inputs[0]} as it is: following its changes more sharply would gain"
+                f" {lost_um:.2g} µm on these rows, and add {added_um:.2g} µm of the thermometer's noise; a quicker one, or"
+                " one nearer to what grows, would gain it"
+            )
+    return kept, notes
+
+
+def _as_it_comes_um(fit: JointFit, effect: Effect, columns: Columns, read: Columns) -> float:
+    """Standard deviation, µm, of what the noise of thermometers adds to a correction for an effect."""
+    mine = [term for term in fit.found if term.effect is effect]
+    return float(np.std(np.sum([term.error_um(read) - term.error_um(columns) for term in mine], axis=0)))
 
 
 def course_note(effect: str, column: str, log_odds: float) -> str:

@@ -18,7 +18,8 @@ from hil.diagnosis.search.rank import by_column
 from hil.diagnosis.verdict.held_out import ONCE, few_of
 from hil.effects import Effect, Survey, Term
 from hil.effects.load_deflection import is_tilt
-from hil.effects.thermometers import TEMPERATURE
+from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE
+from hil.effects.warming import follows_a_temperature
 
 Floats = NDArray[np.float64]
 
@@ -137,7 +138,7 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     load and a temperature tilt the carriage: a deflection alike in both directions, or one beside a slow course, may be an arm times
     an angle that was not measured; an arm where the load is not known may be a deflection. The air of the shop warms with the machine:
     a drift with a temperature may be that of a dead path, and a growth that no material has that of the air's index; where no
-    temperature of the machine is known, what the air does may be the machine's.
+    temperature of the machine is known, what the air does may be the machine's, and the other way round.
     """
     found = {finding.effect: finding.term for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
@@ -153,12 +154,13 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     if "abbe" in found and deflection is None and "load_kg" not in recorded:
         out["abbe"] = ("load_deflection",)
     by_air_or_machine = (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index"))
-    if not any(TEMPERATURE.fullmatch(column) for column in recorded):
+    without_temperature = not any(TEMPERATURE.fullmatch(column) for column in recorded)
+    if without_temperature:
         out |= {by_air: (*out.get(by_air, ()), name) for name, by_air in by_air_or_machine if by_air in found}
-    if "air_temp_c" not in recorded:
+    if AIR_TEMPERATURE not in recorded or without_temperature:
         for name, by_air in by_air_or_machine:
             term = found.get(name)
-            if term is None or not any(TEMPERATURE.fullmatch(column) for column in term.needs):
+            if term is None or not follows_a_temperature(term.form):
                 continue
             if name == "thermal_drift" or term.effect.implausible(term):
                 out[name] = (*out.get(name, ()), by_air)
@@ -194,7 +196,9 @@ def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
     """
     needs = {_kind(name) for term in finding.terms for name in term.needs}
     own = needs - {"target_mm", "direction"}
-    if "temperature" in own:  # a sensor's lag reads the time, and nothing else follows it
+    if any(
+        follows_a_temperature(term.form) for term in finding.terms
+    ):  # a lag reads the time, and nothing else follows it
         own -= {"time_s", "row_order"}
     columns = {_kind(name) for name in carrier.columns if name != "direction"}
     if "target_mm" in needs and not own:

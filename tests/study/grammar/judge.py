@@ -142,7 +142,10 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
             "action": finding["action"],
             "explanation": finding["explanation"],
             "rms_um": finding.get("rms_um"),
-            "parameters": {name: [one.get("value"), one.get("std")] for name, one in finding["parameters"].items()},
+            "parameters": {
+                name: [one.get(key) for key in ("value", "std", "low", "high")]
+                for name, one in finding["parameters"].items()
+            },
             "rivals": [[rival["effect"], rival["confidence"], rival["separate_by"]] for rival in finding["rivals"]],
         }
         for finding in told["findings"]
@@ -179,7 +182,7 @@ def _judged(drawn: Drawn, causes: Any, said: Mapping[str, Any]) -> Outcome:
         "in_a_set": bool(rights) and any(set(one) & rights[0] for one in sets),
         "silent": not names and not said["unexplained"],
         "confidences": [[f["confidence"], f["effect"] in tolerated] for f in said["findings"]],
-        "off_by_std": _off_by_std(drawn, said["findings"]),
+        "parameters": _parameters(drawn, said["findings"]),
         "confident_wrong": [
             f["effect"] for f in said["findings"] if f["confidence"] > CONFIDENT and f["effect"] not in tolerated
         ],
@@ -194,16 +197,16 @@ def _not_told_apart(causes: Any) -> bool:
     return any(cause["twin"] for cause in causes) or (wanders and held_by_it)
 
 
-def _off_by_std(drawn: Drawn, findings: list[dict[str, Any]]) -> dict[str, float]:
-    """Error of each stated parameter that has a true value, in its stated standard deviations."""
+def _parameters(drawn: Drawn, findings: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Of each stated parameter that has a true value: its error in stated standard deviations, and whether its interval holds it."""
     found = {}
     for cause in drawn.causes:
         for effect, parameters in true_parameters(cause).items():
             for finding in (one for one in findings if one["effect"] == effect):
                 for name, true in parameters.items():
-                    value, std = finding["parameters"].get(name, (None, None))
+                    value, std, low, high = finding["parameters"].get(name, (None,) * 4)
                     if value is not None and std:
-                        found[f"{effect} {name}"] = (value - true) / std
+                        found[f"{effect} {name}"] = {"off_by_std": (value - true) / std, "held": low <= true <= high}
     return found
 
 

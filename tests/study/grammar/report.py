@@ -269,8 +269,8 @@ def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
                 "mean confidence": float(np.mean([c for c, _ in inside])),
                 "right": share([r for _, r in inside]),
             }
-    off = [value for one in good for value in one["off_by_std"].values()]
-    found["true parameter within the stated ± (k = 2)"] = share([abs(value) <= 2.0 for value in off])
+    stated = [parameter for one in good for parameter in one["parameters"].values()]
+    found["true parameter within its interval at 95 %"] = share([parameter["held"] for parameter in stated])
     if pairs:
         found["Brier score"] = float(np.mean([(c - r) ** 2 for c, r in pairs]))
     return found

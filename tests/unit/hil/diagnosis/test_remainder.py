@@ -617,7 +617,7 @@ def test_repeats_at_rest_are_held_against_the_noise_at_rest() -> None:
     """Rows in motion vary four times as much, and the targets that are approached again are all at rest."""
     campaign = prepare(workshop(5, tails="faster")[0])
     rest = np.flatnonzero(campaign.columns["velocity_mm_s"] == 0.0)
-    rows = AllRows(campaign.columns, campaign.error_um, np.arange(len(campaign)))
+    rows = AllRows(campaign.columns, campaign.error_um, np.arange(len(campaign)), {})
     rng = np.random.default_rng(3)
     moving = campaign.columns["velocity_mm_s"] > 0.0
     residual_um = rng.normal(size=len(campaign)) * np.where(moving, 4.0, 1.0)

@@ -12,6 +12,8 @@ from hil.diagnosis.diagnosing import diagnose
 from hil.diagnosis.follow_up import as_shares, diagnosed
 from hil.diagnosis.result import Finding, RivalFound
 from hil.effects import ALL, Form, Term
+from hil.effects.history import complete
+from hil.effects.survey import survey_of
 from hil.records.rows import Records
 
 Floats = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
@@ -111,6 +113,47 @@ def test_a_cause_of_28_times_the_noise_is_all_there_is(seed: int) -> None:
         stated = expansion.parameters[name]
         assert stated.value == pytest.approx(true, abs=3.0 * stated.std)
         assert stated.std < 0.1 * abs(true)
+
+
+def machine_in_a_hall(first_s: float, seed: int) -> tuple[Records, Floats]:
+    """A machine that follows the air of its hall with a time constant of 15 min, with what its expansion of 11.5 ppm/K adds, µm.
+
+    The air's is the only thermometer; it swings by 3 K with the gate, a row each 30 s.
+    """
+    rows = iso_test(seed=seed, noise_um=0.2)
+    time_s = 5.0 * rows["time_s"]
+    air_k = 3.0 * np.sin(2.0 * np.pi * (time_s + first_s) / 4000.0) + 0.5
+    machine_k = np.full(len(rows), air_k[0])
+    for i in range(1, len(rows)):
+        machine_k[i] = machine_k[i - 1] + (air_k[i - 1] - machine_k[i - 1]) * (time_s[i] - time_s[i - 1]) / 900.0
+    added_um = 11.5e-3 * machine_k * rows.target_mm
+    rows = Records.of({name: values for name, values in rows.columns.items() if name != "temp_screw_c"})
+    rows = rows.with_column("time_s", time_s).with_column("air_temp_c", 20.0 + air_k)
+    return with_error(rows, added_um), added_um
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_where_no_other_temperature_is_logged_the_machine_may_follow_the_air(seed: int) -> None:
+    rows, _ = machine_in_a_hall(0.0, seed)
+    found = diagnose(rows)
+    assert found.findings[0].effect == "thermal_expansion"
+    assert found.findings[0].term.form.inputs[0] == "air_temp_c"
+    assert not found.unexplained
+    growth = found.findings[0].parameters["coefficient_ppm_per_k"]
+    assert growth.value == pytest.approx(11.5, abs=3.0 * growth.std)
+    again, added_um = machine_in_a_hall(2000.0, seed + 10)
+    left_um = again.uncorrected_error_um + found.extended.correction_um(again.columns)
+    assert np.std(left_um) < 0.2 * np.std(added_um)
+
+
+def test_a_thermometer_on_the_machine_is_followed_before_the_air() -> None:
+    rows, _ = machine_in_a_hall(0.0, 1)
+    survey = survey_of(complete(rows.columns))
+    assert survey.warmth == ("air_temp_c",)
+    steady = rows.with_column("temp_screw_c", np.full(len(rows), 20.0))
+    assert survey_of(complete(steady.columns)).warmth == ()
+    warms = rows.with_column("temp_screw_c", rows["air_temp_c"] + 1.0)
+    assert survey_of(complete(warms.columns)).warmth == ("temp_screw_c",)
 
 
 def test_at_one_place_nothing_grows_along_the_travel_and_no_run_is_planned() -> None:

@@ -1,0 +1,247 @@
+"""What the rows say of an effect's parameters beyond a linearisation: the maximum of the likelihood, and the region about it.
+
+An interval of profile likelihood holds the values of a quantity at which the likelihood, with everything else at its best, is not less
+than at the maximum by more than χ² of one degree of freedom allows (Venzon & Moolgavkar, Applied Statistics 37, 1988). It is the range
+of the quantity over the region of all parameters where the likelihood is no less, so that one region serves every quantity. Given the
+non-linear parameters the region is an ellipsoid of the coefficients; over those it is found by going out from the maximum.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.noise.evidence import Extra, Noise, Projection
+from hil.diagnosis.search.fit import Choice, JointFit
+from hil.diagnosis.search.searcher import Searcher
+from hil.effects import Term
+from hil.effects.base import COVERS, slopes_of
+
+Floats = NDArray[np.float64]
+
+DROP = COVERS**2
+"""Twice the drop of the log likelihood at the end of an interval: that of a normal distribution at its expanded uncertainty."""
+MOST_ROWS = 5000
+"""Beyond it the likelihood is all but normal, and following it would take seconds."""
+STEPS = 4
+"""Gauss-Newton steps: the search ends within a tenth of a grid step of the maximum, from which two are enough."""
+LONGEST = 0.7
+"""Longest of them, of the logarithm of a parameter."""
+OUTWARD = (0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 11.0, 17.0, 26.0, 40.0)
+"""Standard deviations at which the end of the region is looked for; beyond it the bounds of the parameter end it."""
+HALVINGS = 6
+INSIDE = (0.35, 0.6, 0.8, 0.92)
+"""Shares of the way to the end at which its surface is taken too: of the coefficients it is widest inside."""
+WAYS = {1: 2, 2: 16, 3: 40}
+"""Ways out from the maximum, by number of parameters."""
+ON_A_SPHERE = 48
+"""Points of the surface of an ellipsoid, beside those at which each coefficient is at its ends."""
+
+
+def at_the_maximum(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> list[Choice]:
+    """The choices with their non-linear parameters at the maximum of the likelihood, all together, by Gauss-Newton steps.
+
+    The grid of a search is coarse where rows are many: what it leaves is not in the uncertainty.
+    """
+    current = list(choices)
+    free = [i for i, one in enumerate(current) if one.theta and not one.form.exhaustive and not one.form.shrunk]
+    if not free:
+        return current
+    projection = searcher.projection(noise, searcher.extra([one for one in current if one.form.shrunk]))
+    best = _worth(projection, current)
+    for _ in range(STEPS):
+        moved = _stepped(projection, current, free)
+        for share in (1.0, 0.5, 0.2):
+            trial = [
+                one if to is None else replace(one, theta=_between(one, to, share))
+                for one, to in zip(current, moved, strict=True)
+            ]
+            worth = _worth(projection, trial)
+            if worth > best:
+                break
+        else:
+            break
+        gained, best, current = worth - best, worth, trial
+        if gained < 1e-3:
+            break
+    return current
+
+
+def _worth(projection: Projection, choices: Sequence[Choice]) -> float:
+    """Log likelihood with the choices' coefficients at their best, up to a constant, with the priors of their parameters."""
+    campaign = projection.whitened.campaign
+    columns = np.hstack([one.columns(campaign) for one in choices if not one.form.shrunk])
+    a, b = projection.normal(columns)
+    explained = float(b @ np.linalg.pinv(a, rcond=1e-12, hermitian=True) @ b)
+    left = max(float(projection.rss) - explained, 1e-300)
+    return -0.5 * projection.dof * math.log(left) + sum(one.log_prior for one in choices)
+
+
+def _stepped(projection: Projection, choices: Sequence[Choice], free: Sequence[int]) -> list[tuple[float, ...] | None]:
+    """Where one step leads the parameters of the free choices; None for the others."""
+    campaign = projection.whitened.campaign
+    linear = [one.columns(campaign) for one in choices if not one.form.shrunk]
+    coefficients = projection.estimate(np.hstack(linear))
+    slopes, at = [], 0
+    for i, one in enumerate(choices):
+        if one.form.shrunk:
+            continue
+        width = one.columns(campaign).shape[1]
+        if i in free:
+            slopes.append(slopes_of(campaign.columns, one, coefficients[at : at + width]))
+        at += width
+    step = projection.estimate(np.hstack([*linear, *slopes]))[at:]
+    moved: list[tuple[float, ...] | None] = [None] * len(choices)
+    at = 0
+    for i in free:
+        one = choices[i]
+        moved[i] = tuple(
+            value + change for value, change in zip(one.theta, step[at : at + len(one.theta)], strict=True)
+        )
+        at += len(one.theta)
+    return moved
+
+
+def _between(choice: Choice, to: Sequence[float], share: float) -> tuple[float, ...]:
+    """Parameters a share of the way to others, within their bounds, on the scale on which they are searched."""
+    found = []
+    for parameter, value, end in zip(choice.form.nonlinear, choice.theta, to, strict=True):
+        if parameter.logarithmic:
+            change = min(max((end - value) / value, -LONGEST), LONGEST)
+            moved = value * math.exp(share * change)
+        else:
+            moved = value + share * (end - value)
+        found.append(min(max(moved, parameter.lower), parameter.upper))
+    return tuple(found)
+
+
+def with_regions(searcher: Searcher, fit: JointFit, choices: Sequence[Choice], noise: Noise) -> JointFit:
+    """The fit of the choices, whose terms know the region of their parameters that is likely (`Term.likely`).
+
+    Its scale is that of the covariances of the terms: the noise is not known, see `fit_of_unknown_noise`.
+    """
+    if len(searcher.y) > MOST_ROWS:
+        return fit
+    found = []
+    for i, (choice, term) in enumerate(zip(choices, fit.found, strict=True)):
+        if choice.form.shrunk or choice.form.exhaustive:
+            found.append(term)
+            continue
+        beside = searcher.extra([*choices[:i], *choices[i + 1 :]])
+        for other, known in zip(choices, fit.found, strict=True):
+            if known is not term and other.theta and not other.form.exhaustive and not other.form.shrunk:
+                slopes = slopes_of(searcher.linear.campaign.columns, other, np.array(known.coefficients))
+                beside = beside.plus(Extra(slopes, slopes[:, :0]))
+        region = _Region.of(searcher.projection(noise, beside), choice, term)
+        found.append(term if region is None else replace(term, likely=region.surface()))
+    return fit.with_terms(found)
+
+
+@dataclass(frozen=True)
+class _Region:
+    """projection: with everything else in the fit, the slopes of other effects too
+    variance: of the white noise, as the covariance of the term has it
+    root: square root of the covariance of the parameters on the scale of their search, (t, t)
+    best: twice the log likelihood at the maximum
+    """
+
+    projection: Projection
+    choice: Choice
+    variance: float
+    root: Floats
+    best: float
+
+    @classmethod
+    def of(cls, projection: Projection, choice: Choice, term: Term) -> _Region | None:
+        """None where the linearised fit of the term is singular."""
+        columns = choice.columns(projection.whitened.campaign)
+        k = columns.shape[1]
+        slopes = slopes_of(projection.whitened.campaign.columns, choice, np.array(term.coefficients))
+        normal, _ = projection.normal(np.hstack([columns, slopes]))
+        linear = np.diag(np.linalg.pinv(normal, rcond=1e-13, hermitian=True))
+        known = np.array(term.covariance)
+        if np.any(linear <= 0.0) or np.any(np.diag(known) <= 0.0):
+            return None
+        variance = float(np.exp(np.mean(np.log(np.diag(known) / linear))))
+        scale = np.array(
+            [1.0 / v if p.logarithmic else 1.0 for p, v in zip(choice.form.nonlinear, term.theta, strict=True)]
+        )
+        values, vectors = (
+            np.linalg.eigh(known[k:, k:] * np.outer(scale, scale)) if len(scale) else (np.zeros(0), np.zeros((0, 0)))
+        )
+        found = cls(projection, choice, variance, vectors * np.sqrt(np.maximum(values, 0.0)), 0.0)
+        return replace(found, best=found._height(choice.theta))
+
+    def _solved(self, theta: Sequence[float]) -> tuple[float, Floats, Floats]:
+        """At these parameters: explained sum of squares, coefficients (k,), and their covariance over the variance (k, k)."""
+        columns = replace(self.choice, theta=tuple(theta)).columns(self.projection.whitened.campaign)
+        a, b = self.projection.normal(columns)
+        inverse = np.linalg.pinv(a, rcond=1e-12, hermitian=True)
+        return float(b @ inverse @ b), np.asarray(inverse @ b), np.asarray(inverse)
+
+    def _height(self, theta: Sequence[float]) -> float:
+        """Twice the log likelihood at these parameters, up to a constant, with their prior."""
+        prior = replace(self.choice, theta=tuple(theta)).log_prior
+        return self._solved(theta)[0] / self.variance + 2.0 * prior
+
+    def _drop(self, theta: Sequence[float]) -> float:
+        return max(self.best - self._height(theta), 0.0)
+
+    def _out(self, way: Floats, distance: float) -> tuple[float, ...]:
+        """Parameters so many standard deviations away, within their bounds."""
+        step = self.root @ way * distance
+        found = []
+        for parameter, value, by in zip(self.choice.form.nonlinear, self.choice.theta, step.tolist(), strict=True):
+            moved = value * math.exp(min(max(by, -50.0), 50.0)) if parameter.logarithmic else value + by
+            found.append(min(max(moved, parameter.lower), parameter.upper))
+        return tuple(found)
+
+    def _end(self, way: Floats) -> float:
+        """Distance at which the region ends on a way out."""
+        inside = 0.0
+        for outside in OUTWARD:
+            if self._drop(self._out(way, outside)) > DROP:
+                break
+            inside = outside
+        else:
+            return inside
+        for _ in range(HALVINGS):
+            middle = 0.5 * (inside + outside)
+            inside, outside = (inside, middle) if self._drop(self._out(way, middle)) > DROP else (middle, outside)
+        return inside
+
+    def surface(self) -> Floats:
+        """Points of the surface of the region, (m, k + t)."""
+        thetas = [self.choice.theta]
+        for way in _directions(len(self.choice.theta), WAYS.get(len(self.choice.theta), 0)):
+            end = self._end(way)
+            thetas += [self._out(way, share * end) for share in (*INSIDE, 1.0)]
+        return np.vstack([self._ellipsoid(theta) for theta in thetas])
+
+    def _ellipsoid(self, theta: Sequence[float]) -> Floats:
+        """Points of the surface with these non-linear parameters."""
+        _, middle, inverse = self._solved(theta)
+        radius = math.sqrt(max(DROP - self._drop(theta), 0.0) * self.variance)
+        values, vectors = np.linalg.eigh(inverse)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        ends = inverse / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
+        ways = np.vstack([_directions(len(middle), ON_A_SPHERE) @ root.T, ends.T, -ends.T])
+        points = middle + radius * ways
+        return np.hstack([points, np.tile(np.asarray(theta), (len(points), 1))])
+
+
+def _directions(dimensions: int, count: int) -> Floats:
+    """Unit vectors spread over a sphere, (count, dimensions): both ways of a line, even on a circle, else at random."""
+    if dimensions == 0:
+        return np.zeros((0, 0))
+    if dimensions == 1:
+        return np.array([[1.0], [-1.0]])
+    if dimensions == 2:
+        angle = 2.0 * np.pi * np.arange(count) / count
+        return np.column_stack([np.cos(angle), np.sin(angle)])
+    drawn = np.random.default_rng(0).normal(size=(count, dimensions))
+    return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))
