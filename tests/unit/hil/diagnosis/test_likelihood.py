@@ -1,4 +1,6 @@
-"""The region of likely parameters, against MINOS (iminuit), which follows the likelihood of one parameter at a time."""
+"""The region of likely parameters, against MINOS (iminuit), which follows the likelihood of one parameter at a time; and forms of one
+effect that undo each other.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +10,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from iminuit import Minuit
-from support.campaigns import campaign, wavy
+from support.campaigns import NOTHING, campaign, wavy
 
-from hil.diagnosis.campaign import prepare
+from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.search.candidates import enumerate_candidates
-from hil.diagnosis.search.fit import Choice, Setting
+from hil.diagnosis.search.fit import Choice, Setting, grid_choices
 from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
 from hil.diagnosis.search.rank import refine
-from hil.diagnosis.search.fit import grid_choices
 from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.verdict.courses import steadier
 from hil.effects import Effect, Term
 from hil.effects.base import Estimate
 from hil.effects.cyclic import Cyclic
+from hil.effects.history import lagged
 from hil.effects.local_wear import LocalWear
 from hil.effects.thermal_drift import ThermalDrift
 from hil.effects.thermal_expansion import ThermalExpansion
@@ -148,3 +151,34 @@ def test_every_interval_is_that_of_minos(name: str) -> None:
     for own, (low, high) in zip(mine, by_minos(searcher, choice, term), strict=True):
         width = high - low
         assert own.profiled == (pytest.approx(low, abs=0.04 * width), pytest.approx(high, abs=0.04 * width))
+
+
+@pytest.mark.parametrize(("noise_k", "forms"), [(0.005, 2), (0.06, 1)])
+def test_a_thermometer_is_not_read_more_sharply_than_its_noise_allows(noise_k: float, forms: int) -> None:
+    """A screw that leads its thermometer by 8 s: two forms together see it. Judged on another campaign, each reading as it comes."""
+
+    def led(seed: int) -> tuple[CampaignRows, dict[str, Array]]:
+        rng = np.random.default_rng(seed)
+        records = campaign(NOTHING, sensors=lambda c, _: {RAMP: np.zeros(len(c["run"]))}, noise_um=0.1, seed=seed)
+        time_s = records["time_s"]
+        screw_k = lagged(time_s, 5.0 * (np.floor(time_s / 150.0) % 2), 300.0, begin=0.0)
+        smooth = 20.0 + lagged(time_s, screw_k, 8.0)
+        grown_um = 11.5e-3 * screw_k * records.target_mm
+        records = records.with_column("measured_mm", records.measured_mm + grown_um / 1e3).with_column(RAMP, smooth)
+        rows = prepare(records)
+        return rows, {**rows.columns, RAMP: rows.columns[RAMP] + noise_k * rng.normal(size=len(time_s))}
+
+    rows, read = led(1)
+    effect = ThermalExpansion()
+    searcher = Searcher(Setting.free(rows), enumerate_candidates(rows, (effect,)))
+    known_forms = {form.name: form for form in effect.forms(rows.survey)}
+    both = [Choice(effect, known_forms["temperature"], ()), Choice(effect, known_forms["lagged temperature"], (8.0,))]
+    kept, notes = steadier(searcher, WHITE, both, read)
+    assert len(kept) == forms
+    assert len(notes) == (forms == 1)
+    again, read_again = led(2)
+    left = [
+        float(np.std(again.error_um - searcher.fit(some, WHITE).extended.error_um(read_again)))
+        for some in (kept, both if forms == 1 else both[:1])
+    ]
+    assert left[0] < 0.9 * left[1]
