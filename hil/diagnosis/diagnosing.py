@@ -20,7 +20,7 @@ from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
 from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
-from hil.diagnosis.remainder import LeftOver, left_over
+from hil.diagnosis.remainder import LeftOver, left_over, sized
 from hil.diagnosis.remainder.contest import beaten
 from hil.diagnosis.remainder.null import row_scale
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
@@ -95,7 +95,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
-    chosen = beside_the_rest(chosen, [one for one in left if not _is_wander(one, chosen, campaign)])
+    chosen, left = beside_the_rest(chosen, left, campaign)
     unexplained = unexplained or bool(left) or beyond
     chosen, noise, sharper = _at_its_best(chosen, rows)
     parts = _noise_parts(chosen.fit.white_um, noise)
@@ -459,19 +459,29 @@ def required_all_the_same(
     return both, beside, back
 
 
-def beside_the_rest(chosen: Chosen, left: Sequence[LeftOver]) -> Chosen:
-    """The fit again beside what is left, without the terms that the records do not require beside that; the same where nothing is."""
-    if not left:
-        return chosen
+def beside_the_rest(
+    chosen: Chosen, left: tuple[LeftOver, ...], campaign: CampaignRows
+) -> tuple[Chosen, tuple[LeftOver, ...]]:
+    """The fit again beside what is left, without the terms that the records do not require beside that; what is left, with its size
+    where such a term undid a part of it. The same where nothing is left.
+    """
+    beside = [one for one in left if not _is_wander(one, chosen, campaign)]
+    if not beside:
+        return chosen, left
     last = chosen.last
-    for one in left:
+    for one in beside:
         last.searcher.add_nuisance(one.extra)
     last.searcher.limit_outliers(chosen.kept, last.noise)
     kept = drop(last.searcher, chosen.kept, last.noise)
     noise = last.searcher.fit_noise(kept, last.noise)
     last.searcher.limit_outliers(kept, noise)
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    return settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
+    again = settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
+    if len(kept) < len(chosen.kept):
+        wander = [one for one in left if one not in beside]
+        sizes = (*sized(last.searcher, again.kept, noise, beside), *wander)
+        left = tuple(sorted(sizes, key=lambda one: -one.rms.value))
+    return again, left
 
 
 def _is_wander(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:

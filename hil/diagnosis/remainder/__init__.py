@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ def left_over(
     columns = waves.variables(campaign)
     if not columns:
         return ()
-    beside = _beside(searcher, choices, noise, without)
+    beside = _beside(searcher, choices, noise, [hit.extra for hit in without])
     linear = LinearCampaign(campaign)
     null = Null.of(linear, searcher.y, beside, noise)
     d = campaign.d if campaign.survey.has("direction") else None
@@ -113,6 +113,17 @@ def left_over(
     )
 
 
+def sized(
+    searcher: Searcher, choices: Sequence[Choice], noise: Noise, left: Sequence[LeftOver]
+) -> tuple[LeftOver, ...]:
+    """What is left, among the searcher's nuisance columns, with its size beside some choices, largest first."""
+    beside = _beside(searcher, choices, noise, [one.extra for one in left])
+    parts = [one.extra.random for one in left]
+    fitted = blocks.fitted(LinearCampaign(searcher.linear.campaign), searcher.raw, beside, noise, parts)
+    again = (replace(one, rms=part.rms) for one, part in zip(left, fitted, strict=True))
+    return tuple(sorted(again, key=lambda one: -one.rms.value))
+
+
 def is_part_of(known: tuple[str, ...], equivalent: dict[str, tuple[str, ...]], carrier: Carried) -> bool:
     """Whether a carrier's columns are among those of one found before, or move with them: then both are parts of one cause."""
     columns = carrier.block.columns
@@ -145,8 +156,11 @@ def _of_hit_rows(null: Null, columns: Sequence[Variable], d: Floats | None, raw:
     return (LeftOver(hit.columns, {}, Estimate(rms, std), Extra(alone[:, :0], alone), hit.probability),)
 
 
-def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without: Sequence[Hit]) -> Extra:
-    """The columns of every fit and of the choices, with the slopes to their parameters: the effects are linearised there."""
+def _beside(searcher: Searcher, choices: Sequence[Choice], noise: Noise, without: Sequence[Extra]) -> Extra:
+    """The columns of every fit and of the choices, with the slopes to their parameters: the effects are linearised there.
+
+    without: columns among them that are left out
+    """
     campaign = searcher.linear.campaign
     extra = searcher.extra(choices)
     if without:

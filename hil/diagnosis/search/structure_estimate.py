@@ -77,7 +77,7 @@ def structure_estimates(
         return ()
     extra = searcher.extra(choices)
     coefficients, covariance = _solved(searcher, extra, noise)
-    places = places_of(extra.random, hits)
+    places = places_of(extra.random, [hit.extra for hit in hits])
     out = []
     for group in _groups(hits):
         place = np.concatenate([places[i] for i in group])
@@ -100,7 +100,7 @@ def sizes(searcher: Searcher, hits: Sequence[Hit], choices: Sequence[Choice], no
         return ()
     extra = searcher.extra(choices)
     columns = extra.random.copy()
-    places = places_of(extra.random, hits)
+    places = places_of(extra.random, [hit.extra for hit in hits])
     for hit, place, design in zip(hits, places, _apart(hits), strict=True):
         columns[:, place] = design * math.sqrt(FREE if _few(hit) else hit.variance)
     coefficients, covariance = _solved(searcher, Extra(extra.free, columns), noise)
@@ -154,12 +154,12 @@ def _groups(hits: Sequence[Hit]) -> list[list[int]]:
     return groups
 
 
-def places_of(columns: Floats, hits: Sequence[Hit]) -> list[NDArray[np.int64]]:
-    """Indices of the columns of each hit among the columns (n, s). Raises LookupError for a missing one."""
+def places_of(columns: Floats, extras: Sequence[Extra]) -> list[NDArray[np.int64]]:
+    """Indices of the random columns of each among the columns (n, s). Raises LookupError for a missing one."""
     out: list[NDArray[np.int64]] = []
     taken: set[int] = set()
-    for hit in hits:
-        block = hit.extra.random
+    for extra in extras:
+        block = extra.random
         width = block.shape[1]
         starts = (i for i in range(columns.shape[1] - width + 1) if i not in taken)
         start = next((i for i in starts if np.array_equal(columns[:, i : i + width], block)), None)

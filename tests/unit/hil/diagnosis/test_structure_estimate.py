@@ -149,11 +149,11 @@ def test_structures_are_found_among_the_columns_of_a_fit_in_any_order_and_each_o
     first, second = (hit_of(projection, by_columns[name,], 40.0, 0.001) for name in ("coolant_l_min", "load_kg"))
     columns = np.hstack([second.extra.random, first.extra.random, second.extra.random])
     width = second.extra.random.shape[1]
-    where = places_of(columns, [first, second, second])
+    where = places_of(columns, [first.extra, second.extra, second.extra])
     assert [place[0] for place in where] == [width, 0, columns.shape[1] - width]
     assert all(
         np.array_equal(columns[:, place], hit.extra.random)
         for place, hit in zip(where, (first, second, second), strict=True)
     )
     with pytest.raises(LookupError):
-        places_of(columns, [first, first])
+        places_of(columns, [first.extra, first.extra])
