@@ -17,7 +17,7 @@ from hil.diagnosis.table import TableBasis, choose_knots
 from hil.effects import Survey, survey_of
 from hil.effects.history import complete
 from hil.effects.thermometers import most_noise
-from hil.records.rows import UM_PER_MM, Records
+from hil.records.rows import UM_PER_MM, Records, refuse_other_units
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -75,7 +75,8 @@ def columns_of(records: Records) -> dict[str, Floats]:
 
 
 def prepare(records: Records, pitches_mm: tuple[float, ...] = ()) -> CampaignRows:
-    """Builds a campaign from records. Raises InputError for fewer than 4 rows."""
+    """Builds a campaign from records. Raises InputError for fewer than 4 rows, and as `refuse_other_units`."""
+    refuse_other_units(records)
     return campaign_of(columns_of(records), records.uncorrected_error_um, pitches_mm)
 
 
@@ -193,7 +194,10 @@ class AllRows:
 
     @classmethod
     def of(cls, records: Records, seed: int) -> AllRows:
-        """The history of each row (travel since the reversal …) is computed before rows are left out."""
+        """The history of each row (travel since the reversal …) is computed before rows are left out. Raises InputError as
+        `refuse_other_units`.
+        """
+        refuse_other_units(records)
         step_mm = coarse_step_mm(records)
         error_um = records.uncorrected_error_um + unread_um(len(records), step_mm)
         read = {name: values for name, values in records.columns.items() if most_noise(name) is not None}

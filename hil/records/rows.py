@@ -187,6 +187,36 @@ def concatenate(parts: Iterable[Records]) -> Records:
     return Records.of(columns)
 
 
+MOVES_WITH = (0.5, 1.5)
+"""Change of the measured position per change of the target, mm/mm: no machine is wrong by a half."""
+OTHER_UNITS = (
+    (re.compile(r"(temp_\w+|air_temp)_c"), 200.0, 400.0, "°C", "kelvin"),
+    (re.compile(r"air_pressure_hpa"), 50.0, 120.0, "hPa", "kPa"),
+    (re.compile(r"air_pressure_hpa"), 5e4, 1.2e5, "hPa", "Pa"),
+)
+"""Columns, and the least and most of their mean that is no machine hall's in their own unit, but is in another one."""
+
+
+def refuse_other_units(records: Records) -> None:
+    """Raises InputError for positions that do not go with the targets, and for sensors that are logged in another unit.
+
+    The file format allows them; a fit would put the difference into the table, or into an effect of some 290 K.
+    """
+    target = records.target_mm - np.mean(records.target_mm)
+    if float(np.ptp(target)) > 0.0:
+        slope = float(target @ records.measured_mm) / float(target @ target)
+        if not MOVES_WITH[0] <= slope <= MOVES_WITH[1]:
+            raise InputError(
+                f"measured_mm changes by {slope:.3g} mm per mm of target_mm, expected about 1: it is in another unit, counts the other"
+                " way or holds the error instead of the position"
+            )
+    for name, values in records.columns.items():
+        for column, least, most, unit, other in OTHER_UNITS:
+            known = values[np.isfinite(values)]
+            if column.fullmatch(name) and len(known) and least <= float(np.mean(known)) <= most:
+                raise InputError(f"{name} is {np.mean(known):.5g} in the mean, expected {unit}: it looks like {other}")
+
+
 def read_csv(path: str | Path) -> Records:
     """Reads a record file. Raises InputError with file and line for an invalid row or header."""
     return parse_csv(read_text(path), path)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from drivers.errors import InputError
+from hil.diagnosis import fit_model
 from hil.diagnosis.campaign import coarse_step_mm, unread_um
 from hil.diagnosis.diagnosing import diagnose
 from hil.diagnosis.follow_up import as_shares, diagnosed
@@ -154,6 +157,34 @@ def test_a_thermometer_on_the_machine_is_followed_before_the_air() -> None:
     assert survey_of(complete(steady.columns)).warmth == ()
     warms = rows.with_column("temp_screw_c", rows["air_temp_c"] + 1.0)
     assert survey_of(complete(warms.columns)).warmth == ("temp_screw_c",)
+
+
+@pytest.mark.parametrize(
+    ("column", "scale", "offset", "said"),
+    [
+        ("measured_mm", 1000.0, 0.0, "measured_mm changes by 1e+03 mm per mm of target_mm"),
+        ("measured_mm", -1.0, 0.0, "counts the other way"),
+        ("temp_screw_c", 1.0, 273.15, "looks like kelvin"),
+        ("air_temp_c", 1.0, 273.15, "looks like kelvin"),
+        ("air_pressure_hpa", 100.0, 0.0, "looks like Pa"),
+        ("air_pressure_hpa", 0.1, 0.0, "looks like kPa"),
+    ],
+)
+def test_another_unit_is_refused_before_it_is_fitted(column: str, scale: float, offset: float, said: str) -> None:
+    rows = iso_test(targets=6)
+    rows = rows.with_column("air_temp_c", rows["temp_screw_c"] + 0.5)
+    rows = rows.with_column("air_pressure_hpa", 1010.0 + 0.01 * rows["time_s"])
+    diagnose(rows)
+    other = rows.with_column(column, scale * rows[column] + offset)
+    for job in (diagnose, fit_model):
+        with pytest.raises(InputError, match=re.escape(said)):
+            job(other)
+
+
+def test_errors_in_place_of_positions_are_refused() -> None:
+    rows = iso_test(targets=6)
+    with pytest.raises(InputError, match="holds the error"):
+        diagnose(rows.with_column("measured_mm", rows.error_um / 1e3))
 
 
 def test_at_one_place_nothing_grows_along_the_travel_and_no_run_is_planned() -> None:
