@@ -227,9 +227,10 @@ def _put_into_force(
     bounded = within_what_was_seen(fit, courses, rows.columns, is_suspected=suspected is not None)
     declared = [term for term in bounded.extended.terms if term not in bounded.found]
     names = {choice.effect.id: choice.form.inputs[0] for choice in choices if choice.effect.id in courses}
-    notes = [course_note(effect, column, courses[effect]) for effect, column in names.items()]
-    notes += [bounded_note(term) for term in declared if is_bounded(term)]
-    notes += [] if suspected is None else [_suspicion(term) for term in bounded.found]
+    notes = [bounded_note(term) for term in declared if is_bounded(term)]
+    if suspected is not None:  # what a course of time says of it is in that note
+        return bounded, courses, [*notes, *map(_suspicion, bounded.found)]
+    notes = [*(course_note(effect, column, courses[effect]) for effect, column in names.items()), *notes]
     return bounded, courses, notes
 
 
@@ -302,7 +303,7 @@ def beyond_noise(
     `exceeds_repeats`.
     """
     dof = rows if floor is None else floor.dof
-    limit = float(fdtri(rows, dof, 1.0 - policy().silent))
+    limit = float(fdtri(rows, dof, 1.0 - policy().false_findings))
     if held_out_um > explained_um * math.sqrt(limit):
         yield (
             f"on rows left out {held_out_um:.3g} µm RMS remain, and noise, its memory and the offsets of the runs explain"
@@ -347,7 +348,8 @@ def _notes(
         if 0 < absent < len(records):
             yield f"{name} is missing in {absent} of {len(records)} rows: the column is not used"
     if "time_s" in records.columns and (back := int(np.sum(np.diff(records["time_s"]) < 0.0))):
-        yield f"time_s goes back {back} times: what depends on the time cannot be trusted; give each row the time since the first"
+        often = "once" if back == 1 else f"{back} times"
+        yield f"time_s goes back {often}: what depends on the time cannot be trusted; give each row the time since the first"
     if rows.step_mm is not None:
         step_um = rows.step_mm * UM_PER_MM
         yield f"the readings move in steps of {step_um:g} µm, coarser than their noise: below half a step nothing is found"

@@ -33,7 +33,7 @@ class Policy:
     false_findings: float = _number(
         0.005,
         RATE,
-        "of a finding on a campaign without effects, over the whole catalogue",
+        "in noise of a finding, over the whole catalogue, of a wave along a few rows, and of a note that more is left",
         "half of the 1 % asked for; of 185 weak causes two more are named than with 0.003",
     )
     false_structure: float = _number(
@@ -55,39 +55,31 @@ class Policy:
     temperature: float = _number(
         2.0, SHARE, "divisor of log odds before they become confidences: no form is exactly right", "set by hand"
     )
-    richer: float = _number(
-        3.0, LOG, "against a richer form of the same effect", "set by hand: the simplest form first"
-    )
-    implausible: float = _number(5.0, LOG, "against an effect with implausible parameters", "set by hand, 150 to 1")
-    exchange: float = _number(
+    positive: float = _number(
         2.0,
         LOG,
-        "by which another effect must be better to take the place",
-        "set by hand, so that two do not swap for ever",
+        "by which another effect must be better to take the place, and against none from which an unproven one is considered",
+        "7 to 1; 1 to 3 is called positive by Kass & Raftery, J. Am. Stat. Assoc. 90, 1995",
     )
-    slight: float = _number(
+    strong: float = _number(
         3.0,
         LOG,
-        "of a term beside terms that were taken after it, and of each further effect of several that replace one wandering reading",
-        "20 to 1",
+        "of a richer form against the simplest, of a term beside those taken after it, of each further effect of several in place of a"
+        " wandering reading, of a smooth function of other columns against an effect, and between noise models",
+        "20 to 1; the same: 3 to 5 is strong",
     )
-    keep: float = _number(6.0, LOG, "of a term beside an unexplained structure", "400 to 1")
-    replace: float = _number(
-        6.0,
+    very_strong: float = _number(
+        5.0,
         LOG,
-        "by which a structure of other columns, or a pair of effects, must exceed a term",
-        "400 to 1; of 22 tuning machines with one slow cause no pair came beyond 2",
+        "against implausible parameters, of a term beside an unexplained structure, of such a structure or a pair of effects against a"
+        " term, of strong memory of the rows, of noise that grows with the speed, and of a temperature against a course of time",
+        "150 to 1; the same: beyond 5 is very strong",
     )
     pair_of_none: float = _number(
         12.0,
         LOG,
         "by which a pair of effects must exceed none, where neither was found by itself",
         "160 000 to 1: 40 000 to 100 000 pairs are tried; of 500 machines without a cause none came so far",
-    )
-    beyond: float = _number(6.0, LOG, "of a strong memory of the rows against that of noise", "400 to 1")
-    likely: float = _number(2.0, LOG, "against none from which an unproven effect is considered", "7 to 1")
-    as_well: float = _number(
-        5.0, LOG, "of a temperature against a course of time below which the two are not told apart", "150 to 1"
     )
     no_further: float = _number(
         2.5,
@@ -222,10 +214,6 @@ class Policy:
         "clean machines of the grammar come to 1.8, a measured stage whose warm-up three runs do not determine to 2.1; of 18 strong"
         " outside causes missed before, 5 are above",
     )
-    false_hits: float = _number(0.005, RATE, "of a wave along a few rows of noise", "half of the 1 % asked for")
-    beaten: float = _number(
-        3.0, LOG, "by which a smooth function of other columns must exceed an effect to take its place", "20 to 1"
-    )
     opposed: float = _number(
         0.3,
         SHARE,
@@ -233,7 +221,6 @@ class Policy:
         "500 machines without sensors: 4 pairs of findings are below 0.2, all of one cause",
     )
     simpler: float = _number(1.0, LOG, "that a pair of columns must have beyond one alone", "set by hand")
-    as_good: float = _number(3.0, LOG, "below the best within which a noise model is kept", "an earlier trial; 20 to 1")
     most_uneven: float = _number(
         4.0,
         SHARE,
@@ -244,12 +231,6 @@ class Policy:
         10.0, "rows", "of average noise in each group before its scale is taken", "an earlier trial"
     )
     # -- noise -----------------------------------------------------------------------------------------------------------
-    noise_with_speed: float = _number(
-        6.0,
-        LOG,
-        "of noise that grows with the speed against noise that does not, from which rows are weighted",
-        "400 to 1",
-    )
     most_offset: float = _number(
         0.8, NOISE, "bound of the offsets of runs: a larger one is an effect", "an earlier trial"
     )
@@ -277,7 +258,6 @@ class Policy:
         0.5, SHARE, "from which a small effect is a finding", "likelier than all rivals together"
     )
     wander: float = _number(0.5, NOISE, "RMS of a drift that noise may reach", "set by hand")
-    silent: float = _number(0.005, RATE, "in normal noise of a note that more is left", "set by hand")
 
     @classmethod
     def table(cls) -> dict[str, tuple[float, str, str, str]]:

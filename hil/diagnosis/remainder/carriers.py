@@ -161,7 +161,7 @@ def _equivalent(
             if names not in tried:
                 tried[names] = _trial(null, named, names, d).evidence
             late = is_slow(named[name]) and is_slow(named[other]) and tried[names] > policy().slow_alike * top.evidence
-            if late or tried[names] > top.evidence - policy().as_well:
+            if late or tried[names] > top.evidence - policy().very_strong:
                 alike.add(other)
         if alike:
             out[name] = tuple(sorted(alike))

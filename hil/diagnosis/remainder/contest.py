@@ -46,7 +46,7 @@ def beaten(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> set[s
         of_others = max([value for names, value in worth.items() if names not in its_own], default=-math.inf)
         # a form that is not quite the machine's loses to functions of its own columns, and is no other cause
         of_its_own = max([value for names, value in worth.items() if names in its_own], default=0.0)
-        if of_others > max(_evidence(null, mine, whole), of_its_own) + policy().beaten:
+        if of_others > max(_evidence(null, mine, whole), of_its_own) + policy().strong:
             out.add(name)
     return out
 

@@ -107,7 +107,7 @@ def gross_rows(null: Null, off: Floats, size: float, columns: Sequence[Variable]
         return None
     far = np.flatnonzero(np.abs(off) > FAR * size).astype(np.int64)
     probability = float(bdtrc(len(far) - 1, len(off), HEAVIEST)) if len(far) else 1.0
-    if probability >= policy().false_hits:
+    if probability >= policy().false_findings:
         return None
     campaign = null.linear.campaign
     d = campaign.d if campaign.survey.has("direction") else None
@@ -152,7 +152,7 @@ def hit_rows(x: Variable, d: Floats | None, off: Floats, size: float) -> Hits | 
     probability = min(float(np.exp(-average)), 1.0)
     if average > np.log(WORTH_DRAWING):
         probability = min(probability, chance_by_signs(z, signs, prior, trials, average))
-    if probability >= policy().false_hits:
+    if probability >= policy().false_findings:
         return None
     which, best = np.unravel_index(int(np.argmax(log_ratio + np.log(prior))), log_ratio.shape)
     amplitude, share, _ = trials[which]

@@ -65,7 +65,7 @@ class Null:
         }
         top = max(worth, key=lambda trial: worth[trial])
         good = sorted(
-            (t for t in worth if t != top and worth[t] > worth[top] - policy().as_good), key=lambda t: -worth[t]
+            (t for t in worth if t != top and worth[t] > worth[top] - policy().strong), key=lambda t: -worth[t]
         )
         return cls(weighted, y, beside, top, tuple(good[:MOST_MODELS]))
 

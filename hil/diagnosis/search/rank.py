@@ -114,7 +114,7 @@ def judged(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> float
     worth, _ = searcher.profiled_evidence(choices, noise)
     for i, choice in enumerate(choices):
         others = ConditionalSearch(searcher, [*choices[:i], *choices[i + 1 :]])
-        worth -= _penalty(choice, others, noise) + (0.0 if choice.form.scan else policy().richer)
+        worth -= _penalty(choice, others, noise) + (0.0 if choice.form.scan else policy().strong)
     return worth
 
 
@@ -133,7 +133,7 @@ def by_column(searcher: Searcher, others: Sequence[Choice], choice: Choice, nois
             forms.setdefault(form.inputs[0], []).append(form)
 
     def ranked(one: Choice, gain: float) -> Ranked:
-        penalty = _penalty(one, conditional, noise) + (0.0 if one.form.scan else policy().richer)
+        penalty = _penalty(one, conditional, noise) + (0.0 if one.form.scan else policy().strong)
         return Ranked(one, base + gain - penalty, noise)
 
     found = {own: ranked(*refine(projection, [choice], 1)[0])}
@@ -277,7 +277,7 @@ def _penalty(choice: Choice, conditional: ConditionalSearch, noise: Noise) -> fl
     penalty = -choice.effect.log_odds
     if not choice.form.shrunk:
         coefficients = conditional.projection(noise).estimate(choice.columns(conditional.searcher.linear.campaign))
-        penalty += policy().implausible if choice.effect.implausible(choice.as_term(coefficients)) else 0.0
+        penalty += policy().very_strong if choice.effect.implausible(choice.as_term(coefficients)) else 0.0
     return penalty
 
 
@@ -293,7 +293,7 @@ def _enriched(conditional: ConditionalSearch, ranked: Sequence[Ranked]) -> tuple
             more = richer(r.choice, refining[r.effect])
             projection = conditional.projection(r.noise)
             for choice, gain in refine(projection, _best_of_each_form(projection, more), effort.rounds) if more else ():
-                value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - policy().richer
+                value = conditional.base(r.noise) + gain - _penalty(choice, conditional, r.noise) - policy().strong
                 exceeded = choice.effect.is_exceeded(choice.form, choice.theta)
                 if not exceeded and value > (-math.inf if best is None else best.evidence):
                     best = Ranked(choice, value, r.noise)

@@ -92,7 +92,7 @@ def _stepwise(searcher: Searcher, noise: Noise, judge: Judge, start: Sequence[Ch
     # several terms of one effect are not several effects, unless a machine has that effect more than once
     several = len(set(map(_cause, other.choices))) > len(set(map(_cause, found.choices)))
     worth, _ = searcher.profiled_evidence(found.choices, found.noise)
-    least = worth + policy().slight * (len(other.choices) - len(found.choices))
+    least = worth + policy().strong * (len(other.choices) - len(found.choices))
     if several and searcher.profiled_evidence(other.choices, other.noise)[0] > least:
         more = _forward(searcher, other.noise, judge, other.choices)
         return replace(more, stages=(*other.stages, *more.stages))
@@ -114,7 +114,7 @@ def with_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection
         return found
     worth = judged(searcher, found.choices, found.noise)
     effects = {choice.effect.id for choice in mine}
-    least = worth + (policy().pair_of_none, policy().replace, policy().exchange)[min(len(effects), 2)]
+    least = worth + (policy().pair_of_none, policy().very_strong, policy().positive)[min(len(effects), 2)]
     best: tuple[float, list[Choice]] | None = None
     for pair in best_pairs(searcher, rest, found.noise, least - policy().refinement):
         trial = settled(searcher, [*rest, *pair], found.noise, columns=False)
@@ -182,7 +182,7 @@ def exchange(searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: 
         rest = current[:i] + current[i + 1 :]
         now = searcher.evidence(current, noise)
         ranking = rank(searcher, rest, noise)
-        if ranking and ranking[0].evidence > now + policy().exchange:
+        if ranking and ranking[0].evidence > now + policy().positive:
             current[i] = ranking[0].choice
             settled = i
     return current

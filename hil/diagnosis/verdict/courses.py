@@ -50,7 +50,7 @@ def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice])
         gains, _ = score_choices(projection, [*mine[:1], *courses])
         together = projection.gain(np.hstack([c.columns(campaign) for c in mine])) if len(mine) > 1 else float(gains[0])
         behind = together - sum(c.form.log_odds for c in mine) - float(np.max(gains[1:] - courses[0].form.log_odds))
-        if behind < policy().as_well:
+        if behind < policy().very_strong:
             found[effect.id] = behind
     return found
 

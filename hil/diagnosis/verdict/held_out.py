@@ -247,7 +247,7 @@ def unproven_choice(problem: Problem, chosen: Chosen) -> Choice | None:
     stage = first.stages[-1]
     for ranked in stage.ranking:
         effect = ranked.choice.effect
-        if ranked.evidence - stage.before < policy().likely:
+        if ranked.evidence - stage.before < policy().positive:
             break
         if effect.static:
             break  # a shape along the travel that is no finding is noise: it is there in every run of the same targets

@@ -27,9 +27,9 @@ def test_each_number_is_stated_read_and_on_the_page(name: str) -> None:
 
 def test_another_policy_is_in_force_only_inside() -> None:
     usual = policy()
-    with in_force(Policy(keep=1.0)):
-        assert policy().keep == 1.0
-        with in_force(Policy(keep=2.0)):
-            assert policy().keep == 2.0
-        assert policy().keep == 1.0
+    with in_force(Policy(strong=1.0)):
+        assert policy().strong == 1.0
+        with in_force(Policy(strong=2.0)):
+            assert policy().strong == 2.0
+        assert policy().strong == 1.0
     assert policy() == usual == Policy()

@@ -209,7 +209,7 @@ def test_a_column_with_an_empty_cell_is_said_to_be_left_out() -> None:
 def test_a_time_that_goes_back_is_said() -> None:
     rows = iso_test()
     again = rows.with_column("time_s", np.where(rows.run > 2, rows["time_s"] - 200.0, rows["time_s"]))
-    assert any(note.startswith("time_s goes back 1 times") for note in diagnose(again).notes)
+    assert any(note.startswith("time_s goes back once") for note in diagnose(again).notes)
     assert not any("goes back" in note for note in diagnose(rows).notes)
 
 
