@@ -69,11 +69,11 @@ class Policy:
         "20 to 1; the same: 3 to 5 is strong",
     )
     very_strong: float = _number(
-        5.0,
+        6.0,
         LOG,
         "against implausible parameters, of a term beside an unexplained structure, of such a structure or a pair of effects against a"
         " term, of strong memory of the rows, of noise that grows with the speed, and of a temperature against a course of time",
-        "150 to 1; the same: beyond 5 is very strong",
+        "400 to 1; the same: beyond 5 is very strong",
     )
     pair_of_none: float = _number(
         12.0,

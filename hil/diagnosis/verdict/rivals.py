@@ -19,7 +19,6 @@ from hil.diagnosis.verdict.held_out import ONCE, few_of
 from hil.effects import Effect, Survey, Term
 from hil.effects.load_deflection import is_tilt
 from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE
-from hil.effects.warming import follows_a_temperature
 
 Floats = NDArray[np.float64]
 
@@ -107,7 +106,7 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
 
 
 def beaten_by_runs(chosen: Chosen) -> set[str]:
-    """Effects that a slope along the travel beats, another one in each run.
+    """Effects that a slope along the travel, another one in each run, beats or all but equals.
 
     A load or the place of another axis that was set anew for each run, and not recorded, makes such slopes, and the columns of an
     effect may happen to go with them.
@@ -125,7 +124,7 @@ def beaten_by_runs(chosen: Chosen) -> set[str]:
         others = [choice for choice in kept if choice.effect.id != name]
         projection = last.searcher.projection(last.noise, last.searcher.extra(others))
         gain = projection.gain(np.hstack([choice.columns(campaign) for choice in mine]))
-        if float(random_gain(projection, slopes)[0]) > gain:
+        if float(random_gain(projection, slopes)[0]) > gain - policy().simpler:
             out.add(name)
     return out
 
@@ -160,7 +159,7 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     if AIR_TEMPERATURE not in recorded or without_temperature:
         for name, by_air in by_air_or_machine:
             term = found.get(name)
-            if term is None or not follows_a_temperature(term.form):
+            if term is None or not any(map(_is_temperature, term.needs)):
                 continue
             if name == "thermal_drift" or term.effect.implausible(term):
                 out[name] = (*out.get(name, ()), by_air)
@@ -197,13 +196,17 @@ def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
     needs = {_kind(name) for term in finding.terms for name in term.needs}
     own = needs - {"target_mm", "direction"}
     if any(
-        follows_a_temperature(term.form) for term in finding.terms
-    ):  # a lag reads the time, and nothing else follows it
+        _is_temperature(name) for term in finding.terms for name in term.needs
+    ):  # a lag reads the time, nothing else does
         own -= {"time_s", "row_order"}
     columns = {_kind(name) for name in carrier.columns if name != "direction"}
     if "target_mm" in needs and not own:
         return "way" in columns or ("target_mm" in columns and len(columns - {"run", "row_order"}) > 1)
     return bool(columns & own) and not columns <= own
+
+
+def _is_temperature(column: str) -> bool:
+    return column == AIR_TEMPERATURE or TEMPERATURE.fullmatch(column) is not None
 
 
 def _kind(column: str) -> str:

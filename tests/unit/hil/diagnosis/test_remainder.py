@@ -48,7 +48,7 @@ from hil.diagnosis.verdict.rivals import (
 )
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.model import Model, PitchTable
-from hil.effects.survey import survey_of
+from hil.effects.survey import Survey, survey_of
 from hil.effects.warming import as_far_as_seen
 from hil.records.rows import Records
 
@@ -656,6 +656,7 @@ def test_of_two_effects_that_undo_each_other_one_goes(monkeypatch: pytest.Monkey
     """An offset that follows a temperature nobody logged: a drift of 520 µm beside a growth of as much about a far point, once."""
     drawn = draw("missing", 804_137)
     rows = Records.of(drawn.fit.records)
+    monkeypatch.setattr(Survey, "warmth", Survey.temperatures)  # the air would stand for it
     whole_um = float(np.std(drawn.fit.error_um))
     said = diagnose(rows)
     assert [finding.effect for finding in said.findings] == ["thermal_drift"]
