@@ -220,7 +220,12 @@ class Policy:
         "of each of two effects that their sum may be below, when one is there to undo the other",
         "500 machines without sensors: 4 pairs of findings are below 0.2, all of one cause",
     )
-    simpler: float = _number(1.0, LOG, "that a pair of columns must have beyond one alone", "set by hand")
+    simpler: float = _number(
+        1.0,
+        LOG,
+        "that a pair of columns must have beyond one alone, and an effect beyond a slope of each run, to be sure",
+        "2.7 to 1: less than that is not worth mentioning (Kass & Raftery)",
+    )
     most_uneven: float = _number(
         4.0,
         SHARE,

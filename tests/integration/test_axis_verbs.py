@@ -218,19 +218,6 @@ def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
     assert " µm" in done.stdout
 
 
-@pytest.mark.slow  # CI also runs the demo as its user does
-def test_demo_finds_what_was_hidden_and_measures_the_gain(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    out, result = tmp_path / "demo", tmp_path / "demo.json"
-    assert main(["demo", "--out", str(out), "--json", str(result)]) == 0
-    figures = json.loads(result.read_text())
-    stages = figures["stages"]
-    assert "thermal_expansion" in [finding["effect"] for finding in figures["diagnosis"]["findings"]]
-    assert stages["extended, explored"]["rms_um"] < 0.2 * stages["table, explored"]["rms_um"]
-    assert (out / "report.html").stat().st_size > 100_000
-    assert main(["demo", "--out", str(tmp_path)]) == 2, "a directory that no demo made is left alone"
-    capsys.readouterr()
-
-
 # -- how to go on ----------------------------------------------------------------------------------------------------------
 def interrupted_after(rows: int, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
     """From the next row but so many on, appending one fails."""

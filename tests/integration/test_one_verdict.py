@@ -92,11 +92,15 @@ def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -
     assert confidences(with_model) == pytest.approx(confidences(loop), abs=NEARLY)
 
 
-@pytest.mark.slow  # the whole demo
-def test_the_demo_says_what_the_command_says_of_its_files(tmp_path: Path) -> None:
+@pytest.mark.slow  # the whole demo, which CI also runs as its user does
+def test_the_demo_measures_what_it_gains_and_says_what_the_command_says_of_its_files(tmp_path: Path) -> None:
     out, result = tmp_path / "demo", tmp_path / "demo.json"
     assert main(["demo", "--out", str(out), "--json", str(result)]) == 0
-    demo = json.loads(result.read_text())["diagnosis"]
+    figures = json.loads(result.read_text())
+    stages, demo = figures["stages"], figures["diagnosis"]
+    assert stages["extended, explored"]["rms_um"] < 0.2 * stages["table, explored"]["rms_um"]
+    assert (out / "report.html").stat().st_size > 100_000
+    assert main(["demo", "--out", str(tmp_path)]) == 2, "a directory that no demo made is left alone"
     passes = [str(path) for path in sorted(out.glob("campaign/*/before-*.csv"))]
     assert len(passes) == 4
     command = said_by_command(tmp_path, *passes)

@@ -144,7 +144,7 @@ def with_regions(searcher: Searcher, fit: JointFit, choices: Sequence[Choice], n
 @dataclass(frozen=True)
 class _Region:
     """projection: with everything else in the fit, the slopes of other effects too
-    variance: of the white noise, as the covariance of the term has it
+    variance: of the white noise, as the covariance of the term has it: that of the parameter which the noise models widen most
     root: square root of the covariance of the parameters on the scale of their search, (t, t)
     best: twice the log likelihood at the maximum
     """
@@ -166,7 +166,7 @@ class _Region:
         known = np.array(term.covariance)
         if np.any(linear <= 0.0) or np.any(np.diag(known) <= 0.0):
             return None
-        variance = float(np.exp(np.mean(np.log(np.diag(known) / linear))))
+        variance = float(np.max(np.diag(known) / linear))
         scale = np.array(
             [1.0 / v if p.logarithmic else 1.0 for p, v in zip(choice.form.nonlinear, term.theta, strict=True)]
         )
