@@ -131,9 +131,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         or (left_out.is_worse and f.term.effect.static)
     }
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
-    findings = with_rivals(
-        findings, doubted, unrecorded(effects, campaign.survey, records.columns), records.columns, carriers
-    )
+    recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
+    findings = with_rivals(findings, doubted, unrecorded(effects, campaign.survey, recorded), recorded, carriers)
     if apart and not unexplained and _predicts_nothing(findings, left_out, explained_um):
         unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
     worse = _corrects_worse(findings, left_out) if declared is None else set()

@@ -5,7 +5,7 @@ out.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from hil.app.desk.campaigns import Measurement, measurements
@@ -16,6 +16,7 @@ from hil.calibration.in_motion import InMotion
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.stored import can_be_held_out, read_stored, sources
+from hil.effects import Estimate
 
 Points = tuple[tuple[float, float], ...]
 SIGNS = {1: "+", -1: "−"}
@@ -37,7 +38,8 @@ class Curves:
 
 @dataclass(frozen=True)
 class ShownFinding:
-    """parameters: name, value, standard error; rivals: effect, weight, what separates it; texts in English.
+    """parameters: name, value, standard error; intervals: the ends of some, where ± does not say as much
+    rivals: effect, weight, what separates it; texts in English
 
     form, inputs: of the effect, and the columns it reads, "" and () in files written before these were stored; rms_um:
     over the rows
@@ -53,6 +55,7 @@ class ShownFinding:
     form: str = ""
     inputs: tuple[str, ...] = ()
     rms_um: float | None = None
+    intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -145,6 +148,13 @@ def _carrier(form: Mapping[str, Any]) -> tuple[tuple[str, ...], float | None, fl
     return columns, value_of(form, "rms_um"), value_of(form, "rms_std_um")
 
 
+def _ends(form: object) -> tuple[float, float] | None:
+    value, std, low, high = (value_of(form, name) for name in ("value", "std", "low", "high"))
+    if value is None or std is None or low is None or high is None:
+        return None
+    return None if Estimate(value, std, (low, high)).is_symmetric else (low, high)
+
+
 def _finding(form: Mapping[str, Any], curves: Curves | None, of: Mapping[str, Any]) -> ShownFinding:
     parameters = object_of(form.get("parameters")).items()
     rivals = objects_of(form.get("rivals"))
@@ -153,12 +163,13 @@ def _finding(form: Mapping[str, Any], curves: Curves | None, of: Mapping[str, An
         value_of(form, "confidence"),
         str(form.get("action")),
         str(form.get("explanation", "")),
-        tuple((name, value_of(value, "value"), value_of(value, "std")) for name, value in parameters),
+        tuple((name, value_of(one, "value"), value_of(one, "std")) for name, one in parameters),
         tuple((str(one.get("effect")), value_of(one, "confidence"), str(one.get("separate_by"))) for one in rivals),
         curves,
         str(of.get("name", "")),
         tuple(map(str, list_of(of.get("inputs")))),
         value_of(form, "rms_um"),
+        {name: ends for name, one in parameters if (ends := _ends(one)) is not None},
     )
 
 

@@ -143,7 +143,10 @@ class Finding:
     def _fitted(self) -> dict[str, Estimate]:
         own = self.term.parameters
         every = [(term.parameters, share) for term, share in self.follows] or [(own, 1.0)]
-        return {name: pooled(name, [(known[name], share) for known, share in every if name in known]) for name in own}
+        return {
+            name: pooled(name, [(known[name], share) for known, share in every if name in known] or [(own[name], 1.0)])
+            for name in own
+        }
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,8 @@ FARTHEST_POINT = 3.0
 """Distance of that point from mid-travel, in half travels, beyond which no machine holds its axis there: a travel past either end."""
 _APART_MM = 1000.0
 """Distance of the two places that a straight error is taken at: of the size of a travel, so that its slope loses no digits."""
+ASCENTS = 6
+"""Steps along the slope of a quantity to the ends of an ellipsoid: one where it is linear; with 3 an amplitude near 0 ended 3 % short."""
 STEP = 1e-4
 """Relative step of a central difference: its error is the square of it."""
 Floats = NDArray[np.float64]
@@ -60,7 +62,7 @@ class Action(Enum):
 class Estimate:
     """A value with its standard uncertainty (k = 1), both in the unit of the parameter's name; as text with the expanded (k = 2).
 
-    profiled: its interval of profile likelihood at 95 %, where the model is not linear in it; as text where it is not symmetric
+    profiled: its interval of profile likelihood at 95 %, where it was followed; as text where ± does not say as much
     """
 
     value: float
@@ -74,9 +76,20 @@ class Estimate:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether twice the standard uncertainty says as much as the interval."""
+        """Whether ± twice the standard uncertainty says as much as the interval."""
+        if self.profiled is None:
+            return True
         sides = (self.value - self.interval[0], self.interval[1] - self.value)
         return all(abs(side - 2.0 * self.std) <= SYMMETRIC * 2.0 * self.std for side in sides)
+
+    @property
+    def size(self) -> Estimate:
+        """Its absolute value."""
+        ends = self.profiled
+        if ends is not None:
+            inner = 0.0 if ends[0] < 0.0 < ends[1] else min(map(abs, ends))
+            ends = inner, max(map(abs, ends))
+        return Estimate(abs(self.value), self.std, ends)
 
     def __str__(self) -> str:
         if not self.is_symmetric:
@@ -258,13 +271,49 @@ class Effect(ABC):
 
 
 @dataclass(frozen=True)
+class Likely:
+    """The coefficients that are likely with these non-linear parameters: middle (k,) + root (k, k) @ each vector no longer than 1."""
+
+    theta: tuple[float, ...]
+    middle: Floats
+    root: Floats
+
+    def range_of(self, quantity: Callable[[Floats, Floats], float]) -> tuple[float, float]:
+        """Least and largest value of a quantity of coefficients (k,) and parameters (t,): at the middle, and both ways along its
+        slope.
+        """
+        theta = np.array(self.theta)
+
+        def at(unit: Floats) -> float:
+            return quantity(self.middle + self.root @ unit, theta)
+
+        axes = np.eye(len(self.middle))
+        found = [at(0.0 * axes[0])]
+        for sign in (1.0, -1.0):
+            unit = 0.0 * axes[0]
+            for _ in range(ASCENTS):
+                slope = np.array([at(unit + STEP * axis) - at(unit - STEP * axis) for axis in axes])
+                if not np.any(slope):
+                    break
+                unit = sign * slope / np.linalg.norm(slope)
+            found.append(at(unit))
+        return min(found), max(found)
+
+    def holds_zero(self, i: int, j: int) -> bool:
+        """Whether coefficients i and j can both be zero."""
+        rows = self.root[[i, j]]
+        middle = self.middle[[i, j]]
+        return bool(middle @ np.linalg.pinv(rows @ rows.T) @ middle <= 1.0)
+
+
+@dataclass(frozen=True)
 class Term:
     """An effect with fitted parameters: one part of a model, evaluated by the correction.
 
     theta: the non-linear parameters, in the order of form.nonlinear
     coefficients: shape (k,); covariance: of (coefficients, theta), shape (k + t, k + t)
-    likely: surface of the region of (coefficients, theta) within which no single quantity is less likely than at 95 %, (m, k + t): the
-    range of a quantity over it is its interval of profile likelihood; None where it is not known, as of a term that was read
+    likely: the region of (coefficients, theta) within which no single quantity is less likely than at 95 %: the range of a quantity
+    over it is its interval of profile likelihood; empty where it is not known, as of a term that was read
     """
 
     effect: Effect
@@ -272,7 +321,7 @@ class Term:
     theta: tuple[float, ...]
     coefficients: tuple[float, ...]
     covariance: tuple[tuple[float, ...], ...]
-    likely: Floats | None = field(default=None, compare=False, repr=False)
+    likely: tuple[Likely, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def needs(self) -> tuple[str, ...]:
@@ -312,24 +361,25 @@ class Term:
 
     def coefficient(self, index: int, scale: float = 1.0) -> Estimate:
         """One linear coefficient times `scale`, with its standard uncertainty."""
-        return Estimate(
-            self.coefficients[index] * scale,
-            math.sqrt(max(self.covariance[index][index], 0.0)) * abs(scale),
-            self.range_of(lambda points: points[:, index] * scale),
-        )
+        std = math.sqrt(max(self.covariance[index][index], 0.0)) * abs(scale)
+        ends = [
+            scale * (one.middle[index] + sign * float(np.linalg.norm(one.root[index])))
+            for one in self.likely
+            for sign in (1.0, -1.0)
+        ]
+        return Estimate(self.coefficients[index] * scale, std, (min(ends), max(ends)) if ends else None)
 
     def nonlinear(self, index: int) -> Estimate:
         """One non-linear parameter with its standard uncertainty, NaN where the fit gave none."""
         at = len(self.coefficients) + index
+        values = [one.theta[index] for one in self.likely]
         std = math.sqrt(max(self.covariance[at][at], 0.0))
-        return Estimate(self.theta[index], std, self.range_of(lambda points: points[:, at]))
+        return Estimate(self.theta[index], std, (min(values), max(values)) if values else None)
 
-    def range_of(self, quantity: Callable[[Floats], Floats]) -> tuple[float, float] | None:
-        """Least and largest value of a quantity of the points (m, k + t) of `likely`, (m,); None where those are not known."""
-        if self.likely is None:
-            return None
-        values = quantity(self.likely)
-        return float(np.min(values)), float(np.max(values))
+    def range_of(self, quantity: Callable[[Floats, Floats], float]) -> tuple[float, float] | None:
+        """Least and largest likely value of a quantity of coefficients (k,) and parameters (t,); None where `likely` is not known."""
+        ends = [one.range_of(quantity) for one in self.likely]
+        return (min(low for low, _ in ends), max(high for _, high in ends)) if ends else None
 
     def positive(self, index: int, name: str) -> dict[str, Estimate]:
         """A positive non-linear parameter under its name, or what is known of it: "least_" and "most_", the ends of its interval of
@@ -374,8 +424,7 @@ class Term:
             sides = [quantity(shifted[:k], shifted[k:]) for shifted in (values + step, values - step)]
             gradient[i] = (sides[0] - sides[1]) / (2.0 * step[i])
         variance = float(gradient @ np.array(self.covariance) @ gradient)
-        profiled = self.range_of(lambda points: np.array([quantity(one[:k], one[k:]) for one in points]))
-        return Estimate(quantity(values[:k], values[k:]), math.sqrt(max(variance, 0.0)), profiled)
+        return Estimate(quantity(values[:k], values[k:]), math.sqrt(max(variance, 0.0)), self.range_of(quantity))
 
     def amplitude(self, i: int, j: int) -> Estimate:
         """√(a² + b²) of coefficients i and j, with first-order uncertainty."""
@@ -385,7 +434,10 @@ class Term:
             return Estimate(0.0, math.sqrt(max(self.covariance[i][i], 0.0)))
         c = self.covariance
         variance = (a * a * c[i][i] + 2 * a * b * c[i][j] + b * b * c[j][j]) / size**2
-        return Estimate(size, math.sqrt(max(variance, 0.0)), self.range_of(lambda p: np.hypot(p[:, i], p[:, j])))
+        ends = self.range_of(lambda c, _: math.hypot(c[i], c[j]))
+        if ends is not None and any(one.holds_zero(i, j) for one in self.likely):
+            ends = 0.0, ends[1]
+        return Estimate(size, math.sqrt(max(variance, 0.0)), ends)
 
     def angle(self, i: int, j: int) -> Estimate:
         """atan2(coefficient j, coefficient i) in rad, with first-order uncertainty."""
@@ -395,7 +447,9 @@ class Term:
             return Estimate(0.0, math.pi)
         c = self.covariance
         variance = (b * b * c[i][i] - 2 * a * b * c[i][j] + a * a * c[j][j]) / size2**2
-        return Estimate(math.atan2(b, a), math.sqrt(max(variance, 0.0)))
+        angle = math.atan2(b, a)
+        ends = self.range_of(lambda k, _: angle + math.remainder(math.atan2(k[j], k[i]) - angle, 2.0 * math.pi))
+        return Estimate(angle, math.sqrt(max(variance, 0.0)), ends)
 
     def to_json(self) -> dict[str, Any]:
         """Plain values; `term_from_json` reads them."""

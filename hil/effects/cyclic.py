@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -145,9 +144,12 @@ class Cyclic(Effect):
         if order:
             found[f"{ORDINAL[order]}_harmonic_um"] = term.amplitude(2, 3)
         if changes:
-            phase = term.derived(lambda c, theta: _phase(term.form, c, float(theta[0])))
-            found["phase"] = replace(phase, value=math.remainder(phase.value, 2.0 * math.pi))
-            found["change_to_the_ends_um"] = term.derived(lambda c, _: abs(_along(c)[0]))
+            whole, coefficients = 2.0 * math.pi, np.array(term.coefficients)
+            phase = math.remainder(_phase(term.form, coefficients, term.theta[0]), whole)
+            found["phase"] = term.derived(
+                lambda c, theta: phase + math.remainder(_phase(term.form, c, float(theta[0])) - phase, whole)
+            )
+            found["change_to_the_ends_um"] = term.derived(lambda c, _: _along(c)[0]).size
         elif term.form.name == PER_DIRECTION:
             found["half_difference_um"] = term.amplitude(2, 3)
         return found

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -200,9 +199,6 @@ def fixed_point_mm(term: Term) -> Estimate | None:
     if abs(steep) <= POINT_KNOWN_TO * math.sqrt(max(float(slope @ covariance @ slope), 0.0)):
         return None
     std = math.sqrt(max(float(value @ covariance @ value), 0.0)) / abs(steep)
-    return Estimate(point, std, None if bend else term.range_of(partial(_straight_zeros, offset=_offset_index(term))))
-
-
-def _straight_zeros(points: Floats, offset: int) -> Floats:
-    """Where a straight growth is zero, mm, (m,), of points (m, k + t) whose coefficient of the rise itself has this index."""
-    return -points[:, offset] / UM_PER_MM_PPM / points[:, 0]
+    offset = _offset_index(term)
+    ends = None if bend else term.range_of(lambda c, _: float(-c[offset] / UM_PER_MM_PPM / c[0]))
+    return Estimate(point, std, ends)

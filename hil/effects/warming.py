@@ -161,9 +161,18 @@ def seen_in_rows(term: Term) -> Seen:
         gradient[1], gradient[k] = second, gradient[k] + term.coefficients[1] * second_slope
         change += term.coefficients[1] * second
     variance = float(gradient @ np.array(term.covariance) @ gradient)
+    ends = term.range_of(lambda k, theta: _change(k, float(theta[0]), times, slow=slow))
     known = all(one.std < MOST_UNSURE * abs(one.value) for one in (c, tau)) and share >= LEAST_SEEN
-    bound = tau.value * math.exp(-2.0 * tau.std / tau.value) if tau.std < UNBOUNDED * tau.value else None
-    return Seen(Estimate(change, math.sqrt(max(variance, 0.0))), known, bound)
+    least = tau.value * math.exp(-2.0 * tau.std / tau.value) if tau.profiled is None else tau.profiled[0]
+    bound = least if tau.std < UNBOUNDED * tau.value else None
+    return Seen(Estimate(change, math.sqrt(max(variance, 0.0)), ends), known, bound)
+
+
+def _change(coefficients: Floats, tau: float, times: Sequence[float], *, slow: bool) -> float:
+    """Change of a course of these coefficients from the first time to the last."""
+    (first, _, first_two, _), (last, _, last_two, _) = (_settled(t, tau) for t in times)
+    change = coefficients[0] * (last - first)
+    return float(change + coefficients[1] * (last_two - first_two) if slow else change)
 
 
 def _settled(time: float, tau: float) -> tuple[float, float, float, float]:

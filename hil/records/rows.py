@@ -189,6 +189,10 @@ def concatenate(parts: Iterable[Records]) -> Records:
 
 MOVES_WITH = (0.5, 1.5)
 """Change of the measured position per change of the target, mm/mm: no machine is wrong by a half."""
+FAR_MM, STRAIGHT = 1.0, 0.1
+"""Standard deviation of targets from which errors cannot be what such a change shows, and share of it within which positions lie on a
+line: a drift of micrometres at one place has any slope.
+"""
 OTHER_UNITS = (
     (re.compile(r"(temp_\w+|air_temp)_c"), 200.0, 400.0, "°C", "kelvin"),
     (re.compile(r"air_pressure_hpa"), 50.0, 120.0, "hPa", "kPa"),
@@ -203,9 +207,12 @@ def refuse_other_units(records: Records) -> None:
     The file format allows them; a fit would put the difference into the table, or into an effect of some 290 K.
     """
     target = records.target_mm - np.mean(records.target_mm)
-    if float(np.ptp(target)) > 0.0:
+    spread = float(np.std(target))
+    if spread > FAR_MM:
         slope = float(target @ records.measured_mm) / float(target @ target)
-        if not MOVES_WITH[0] <= slope <= MOVES_WITH[1]:
+        off = records.measured_mm - np.mean(records.measured_mm) - slope * target
+        is_straight = float(np.std(off)) < STRAIGHT * spread * max(1.0, abs(slope))
+        if is_straight and not MOVES_WITH[0] <= slope <= MOVES_WITH[1]:
             raise InputError(
                 f"measured_mm changes by {slope:.3g} mm per mm of target_mm, expected about 1: it is in another unit, counts the other"
                 " way or holds the error instead of the position"

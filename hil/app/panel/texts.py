@@ -97,8 +97,12 @@ class Texts:
             return "–"
         return self._written(f"{Decimal(f'{value:.{digits}g}'):f}")
 
-    def estimate(self, value: float | None, std: float | None, unit: str = "") -> str:
-        """A figure with its expanded uncertainty (k = 2) of the standard one, where there is one, and its unit."""
+    def estimate(
+        self, value: float | None, std: float | None, unit: str = "", ends: tuple[float, float] | None = None
+    ) -> str:
+        """A figure with the expanded uncertainty (k = 2) of its standard one, or the ends of its interval, and its unit."""
+        if ends is not None:
+            return f"{self.significant(value)} ({' … '.join(map(self.significant, ends))}) {unit}".rstrip()
         spread = "" if not std or not math.isfinite(std) else f" ± {self.significant(2.0 * std, 2)}"
         return f"{self.significant(value)}{spread} {unit}".rstrip()
 

@@ -57,7 +57,7 @@ def sentence(t: Texts, finding: ShownFinding) -> str:
         stem, unit = _split(t, name)
         if match := BOUND.fullmatch(stem):
             bounds.setdefault(match[2], []).append(t(f"bound.{match[1]}", value=t.estimate(value, None, unit)))
-        places[stem] = t.estimate(value, std, unit)
+        places[stem] = t.estimate(value, std, unit, finding.intervals.get(name))
     places |= {stem: ", ".join(parts) for stem, parts in bounds.items()}
     if "amount_at_shortest_travel" in places:
         seen, travel = places["amount_at_shortest_travel"], places["shortest_travel"]

@@ -19,14 +19,12 @@ from hil.diagnosis.noise.evidence import Extra, Noise, Projection
 from hil.diagnosis.search.fit import Choice, JointFit
 from hil.diagnosis.search.searcher import Searcher
 from hil.effects import Term
-from hil.effects.base import COVERS, slopes_of
+from hil.effects.base import COVERS, Likely, slopes_of
 
 Floats = NDArray[np.float64]
 
 DROP = COVERS**2
 """Twice the drop of the log likelihood at the end of an interval: that of a normal distribution at its expanded uncertainty."""
-MOST_ROWS = 5000
-"""Beyond it the likelihood is all but normal, and following it would take seconds."""
 STEPS = 4
 """Gauss-Newton steps: the search ends within a tenth of a grid step of the maximum, from which two are enough."""
 LONGEST = 0.7
@@ -36,10 +34,8 @@ OUTWARD = (0.5, 1.0, 1.5, 2.0, 3.0, 4.5, 7.0, 11.0, 17.0, 26.0, 40.0)
 HALVINGS = 6
 INSIDE = (0.35, 0.6, 0.8, 0.92)
 """Shares of the way to the end at which its surface is taken too: of the coefficients it is widest inside."""
-WAYS = {1: 2, 2: 16, 3: 40}
-"""Ways out from the maximum, by number of parameters."""
-ON_A_SPHERE = 48
-"""Points of the surface of an ellipsoid, beside those at which each coefficient is at its ends."""
+EVEN, DRAWN = 16, 40
+"""Ways out from the maximum with two non-linear parameters, evenly, and with more, at random."""
 
 
 def at_the_maximum(searcher: Searcher, choices: Sequence[Choice], noise: Noise) -> list[Choice]:
@@ -124,8 +120,6 @@ def with_regions(searcher: Searcher, fit: JointFit, choices: Sequence[Choice], n
 
     Its scale is that of the covariances of the terms: the noise is not known, see `fit_of_unknown_noise`.
     """
-    if len(searcher.y) > MOST_ROWS:
-        return fit
     found = []
     for i, (choice, term) in enumerate(zip(choices, fit.found, strict=True)):
         if choice.form.shrunk or choice.form.exhaustive:
@@ -137,7 +131,7 @@ def with_regions(searcher: Searcher, fit: JointFit, choices: Sequence[Choice], n
                 slopes = slopes_of(searcher.linear.campaign.columns, other, np.array(known.coefficients))
                 beside = beside.plus(Extra(slopes, slopes[:, :0]))
         region = _Region.of(searcher.projection(noise, beside), choice, term)
-        found.append(term if region is None else replace(term, likely=region.surface()))
+        found.append(term if region is None else replace(term, likely=region.likely()))
     return fit.with_terms(found)
 
 
@@ -214,34 +208,29 @@ class _Region:
             inside, outside = (inside, middle) if self._drop(self._out(way, middle)) > DROP else (middle, outside)
         return inside
 
-    def surface(self) -> Floats:
-        """Points of the surface of the region, (m, k + t)."""
+    def likely(self) -> tuple[Likely, ...]:
+        """Its ellipsoids of the coefficients, at the maximum and on the ways out."""
         thetas = [self.choice.theta]
-        for way in _directions(len(self.choice.theta), WAYS.get(len(self.choice.theta), 0)):
+        for way in _ways(len(self.choice.theta)):
             end = self._end(way)
             thetas += [self._out(way, share * end) for share in (*INSIDE, 1.0)]
-        return np.vstack([self._ellipsoid(theta) for theta in thetas])
+        return tuple(map(self._ellipsoid, thetas))
 
-    def _ellipsoid(self, theta: Sequence[float]) -> Floats:
-        """Points of the surface with these non-linear parameters."""
+    def _ellipsoid(self, theta: tuple[float, ...]) -> Likely:
         _, middle, inverse = self._solved(theta)
         radius = math.sqrt(max(DROP - self._drop(theta), 0.0) * self.variance)
         values, vectors = np.linalg.eigh(inverse)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        ends = inverse / np.sqrt(np.maximum(np.diag(inverse), 1e-300))
-        ways = np.vstack([_directions(len(middle), ON_A_SPHERE) @ root.T, ends.T, -ends.T])
-        points = middle + radius * ways
-        return np.hstack([points, np.tile(np.asarray(theta), (len(points), 1))])
+        return Likely(theta, middle, np.asarray(radius * vectors * np.sqrt(np.maximum(values, 0.0))))
 
 
-def _directions(dimensions: int, count: int) -> Floats:
-    """Unit vectors spread over a sphere, (count, dimensions): both ways of a line, even on a circle, else at random."""
+def _ways(dimensions: int) -> Floats:
+    """Unit vectors, (m, dimensions): both ways of a line, evenly on a circle, else at random."""
     if dimensions == 0:
         return np.zeros((0, 0))
     if dimensions == 1:
         return np.array([[1.0], [-1.0]])
     if dimensions == 2:
-        angle = 2.0 * np.pi * np.arange(count) / count
+        angle = 2.0 * np.pi * np.arange(EVEN) / EVEN
         return np.column_stack([np.cos(angle), np.sin(angle)])
-    drawn = np.random.default_rng(0).normal(size=(count, dimensions))
+    drawn = np.random.default_rng(0).normal(size=(DRAWN, dimensions))
     return np.asarray(drawn / np.linalg.norm(drawn, axis=1, keepdims=True))

@@ -69,7 +69,13 @@ def steadier(
     columns, notes, kept = searcher.linear.campaign.columns, list[str](), tuple(choices)
     for effect in dict.fromkeys(choice.effect for choice in choices):
         mine = [choice for choice in kept if choice.effect is effect]
-        if effect.several or len(mine) == 1 or not any(follows_a_temperature(choice.form) for choice in mine):
+        followed = {choice.form.inputs[0] for choice in mine if follows_a_temperature(choice.form)}
+        if (
+            effect.several
+            or len(mine) == 1
+            or len(followed) != 1
+            or not all(follows_a_temperature(c.form) for c in mine)
+        ):
             continue
         others = [choice for choice in kept if choice.effect is not effect]
         alone = max(refine(searcher.projection(noise, searcher.extra(others)), mine), key=lambda pair: pair[1])[0]
@@ -79,9 +85,9 @@ def steadier(
         if added_um**2 - _as_it_comes_um(single, effect, columns, read) ** 2 > lost_um**2:
             kept = tuple(alone if choice is mine[0] else choice for choice in kept if choice not in mine[1:])
             notes.append(
-                f"{effect.id} is corrected by {alone.form.inputs[0]} as it is: following its changes more sharply would gain"
-                f" {lost_um:.2g} µm on these rows, and add {added_um:.2g} µm of the thermometer's noise; a quicker one, or"
-                " one nearer to what grows, would gain it"
+                f"{effect.id} follows {alone.form.inputs[0]} by one form: two that undo each other would follow its changes more"
+                f" sharply, which gains {lost_um:.2g} µm on these rows and adds {added_um:.2g} µm of the thermometer's noise; a"
+                " quicker thermometer, or one nearer to what grows, would gain it"
             )
     return kept, notes
 

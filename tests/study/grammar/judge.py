@@ -142,10 +142,7 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
             "action": finding["action"],
             "explanation": finding["explanation"],
             "rms_um": finding.get("rms_um"),
-            "parameters": {
-                name: [one.get(key) for key in ("value", "std", "low", "high")]
-                for name, one in finding["parameters"].items()
-            },
+            "parameters": {name: [one.get("low"), one.get("high")] for name, one in finding["parameters"].items()},
             "rivals": [[rival["effect"], rival["confidence"], rival["separate_by"]] for rival in finding["rivals"]],
         }
         for finding in told["findings"]
@@ -197,16 +194,16 @@ def _not_told_apart(causes: Any) -> bool:
     return any(cause["twin"] for cause in causes) or (wanders and held_by_it)
 
 
-def _parameters(drawn: Drawn, findings: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Of each stated parameter that has a true value: its error in stated standard deviations, and whether its interval holds it."""
+def _parameters(drawn: Drawn, findings: list[dict[str, Any]]) -> dict[str, bool]:
+    """Of each stated parameter that has a true value: whether its interval holds it."""
     found = {}
     for cause in drawn.causes:
         for effect, parameters in true_parameters(cause).items():
             for finding in (one for one in findings if one["effect"] == effect):
                 for name, true in parameters.items():
-                    value, std, low, high = finding["parameters"].get(name, (None,) * 4)
-                    if value is not None and std:
-                        found[f"{effect} {name}"] = {"off_by_std": (value - true) / std, "held": low <= true <= high}
+                    low, high = finding["parameters"].get(name, (None, None))
+                    if low is not None and high is not None:
+                        found[f"{effect} {name}"] = low <= true <= high
     return found
 
 

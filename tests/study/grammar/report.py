@@ -286,8 +286,9 @@ def calibration(outcomes: Sequence[Outcome]) -> dict[str, Any]:
                 "mean confidence": float(np.mean([c for c, _ in inside])),
                 "right": share([r for _, r in inside]),
             }
-    stated = [parameter for one in good for parameter in one["parameters"].values()]
-    found["true parameter within its interval at 95 %"] = share([parameter["held"] for parameter in stated])
+    found["true parameter within its interval at 95 %"] = share(
+        [held for one in good for held in one["parameters"].values()]
+    )
     if pairs:
         found["Brier score"] = float(np.mean([(c - r) ** 2 for c, r in pairs]))
     return found

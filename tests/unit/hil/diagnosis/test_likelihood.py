@@ -77,8 +77,70 @@ def known(searcher: Searcher, choice: Choice) -> Term:
     return term
 
 
+def test_a_fixed_point_has_the_interval_of_minos_too() -> None:
+    """Followed with the point itself as a parameter, by the growth beside it."""
+    searcher, choice = searched("grows about a point")
+    term = known(searcher, choice)
+    point = term.parameters["fixed_point_mm"]
+    (low, high), _ = by_minos(
+        searcher, choice, term, lambda v: (v[1], -v[0] * v[1] * 1e-3), start=[point.value, term.coefficients[0]]
+    )
+    assert point.profiled == (pytest.approx(low, abs=0.04 * (high - low)), pytest.approx(high, abs=0.04 * (high - low)))
+
+
+@pytest.mark.parametrize("phase", [0.3, 3.1, -3.1])
+def test_ends_of_what_is_derived_are_those_of_many_points_of_the_region(phase: float) -> None:
+    """A wave with a second harmonic whose amplitude changes along the travel: six coefficients and a period, 40 000 points each."""
+    at = np.cos(phase), np.sin(phase)
+
+    def uneven(c: dict[str, Array]) -> Array:
+        angle = 2.0 * np.pi * c["target_mm"] / 7.3
+        first = at[0] * np.sin(angle) + at[1] * np.cos(angle)
+        return np.asarray(wavy(c) + 0.9 * (1.0 + 0.3 * c["target_mm"] / 300.0) * first + 0.2 * np.sin(2.0 * angle))
+
+    rows = prepare(campaign(uneven, seed=5, runs=5))
+    effect = Cyclic()
+    searcher = Searcher(Setting.free(rows), enumerate_candidates(rows, (effect,)))
+    form = next(
+        f for f in effect.forms(rows.survey) if f.name == "with second harmonic, amplitude changing along the travel"
+    )
+    term = known(searcher, Choice(effect, form, (7.3,)))
+    rng = np.random.default_rng(1)
+    drawn = []
+    for one in term.likely:
+        unit = rng.normal(size=(40_000 // len(term.likely), len(one.middle)))
+        drawn.append(one.middle + unit / np.linalg.norm(unit, axis=1, keepdims=True) @ one.root.T)
+    points = np.vstack(drawn)
+    for name, values in (
+        ("amplitude_um", np.hypot(points[:, 0], points[:, 1])),
+        ("second_harmonic_um", np.hypot(points[:, 2], points[:, 3])),
+    ):
+        low, high = term.parameters[name].interval
+        width = high - low
+        assert low <= term.parameters[name].value <= high
+        assert low - 0.02 * width <= values.min() <= low + 0.12 * width, (
+            "points drawn in six dimensions miss the very ends"
+        )
+        assert high - 0.12 * width <= values.max() <= high + 0.02 * width
+    stated = term.parameters["phase"]
+    low, high = stated.interval
+    assert low <= stated.value <= high
+    assert 0.8 < (high - low) / (4.0 * stated.std) < 1.25
+
+
+def test_an_amplitude_that_may_be_none_begins_at_0() -> None:
+    rows = prepare(campaign(wave, seed=4, runs=5))
+    effect = Cyclic()
+    searcher = Searcher(Setting.free(rows), enumerate_candidates(rows, (effect,)))
+    form = next(f for f in effect.forms(rows.survey) if f.name == "with second harmonic")
+    term = known(searcher, Choice(effect, form, (7.3,)))
+    assert term.parameters["second_harmonic_um"].interval[0] == 0.0
+    assert term.parameters["amplitude_um"].interval[0] > 0.3
+    assert Estimate(-0.4, 0.3, (-1.0, 0.2)).size == Estimate(0.4, 0.3, (0.0, 1.0))
+
+
 def test_the_last_steps_end_at_the_maximum() -> None:
-    """A search with a coarse last step, a tenth of the period's standard uncertainty off."""
+    """A search that ended one and a half standard uncertainties of the period off."""
     searcher, choice = searched("a period")
     term = known(searcher, choice)
     off = term.nonlinear(0).std
@@ -115,8 +177,17 @@ def left_of(searcher: Searcher, columns: Array) -> Array:
     return np.asarray(padded - design @ np.linalg.lstsq(design, padded, rcond=None)[0])
 
 
-def by_minos(searcher: Searcher, choice: Choice, term: Term) -> list[tuple[float, float]]:
-    """The interval of each coefficient and parameter, k = 2, with the variance of the white noise that the fit found."""
+def by_minos(
+    searcher: Searcher,
+    choice: Choice,
+    term: Term,
+    of: Callable[[Array], tuple[float, ...]] = tuple,
+    start: list[float] | None = None,
+) -> list[tuple[float, float]]:
+    """The interval of each coefficient and parameter, k = 2, with the variance of the white noise that the fit found.
+
+    of: coefficients and parameters from those that are followed, which begin at `start`
+    """
     campaign_rows, k = searcher.linear.campaign, len(term.coefficients)
     error_um = left_of(searcher, searcher.y)
 
@@ -127,11 +198,12 @@ def by_minos(searcher: Searcher, choice: Choice, term: Term) -> list[tuple[float
     best = np.array([*term.coefficients, *term.theta])
     variance = float(np.sum(left(best) ** 2)) / (searcher.projection(WHITE).dof - k)
 
-    def cost(values: Array) -> float:
+    def cost(followed: Array) -> float:
+        values = np.array(of(followed))
         prior = replace(choice, theta=tuple(values[k:])).log_prior
         return float(np.sum(left(values) ** 2)) / variance - 2.0 * prior
 
-    minuit = Minuit(cost, best)
+    minuit = Minuit(cost, best if start is None else np.array(start))
     minuit.errordef = 4.0
     for i, parameter in enumerate(choice.form.nonlinear):
         minuit.limits[k + i] = (parameter.lower, parameter.upper)

@@ -17,7 +17,7 @@ from hil.diagnosis.result import Finding, RivalFound
 from hil.effects import ALL, Form, Term
 from hil.effects.history import complete
 from hil.effects.survey import survey_of
-from hil.records.rows import Records
+from hil.records.rows import Records, refuse_other_units
 
 Floats = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
@@ -179,6 +179,20 @@ def test_another_unit_is_refused_before_it_is_fitted(column: str, scale: float, 
     for job in (diagnose, fit_model):
         with pytest.raises(InputError, match=re.escape(said)):
             job(other)
+
+
+def test_errors_as_large_as_the_travel_are_no_other_unit() -> None:
+    """One place with targets that scatter or are written with another last digit; 20 µm of travel while 12 µm of drift go by."""
+    rng = np.random.default_rng(3)
+    drift_mm = np.linspace(0.0, 0.012, 44)
+    for target in (
+        np.where(np.arange(44) == 7, 0.3, 0.1 * 3),
+        0.3 + 1e-4 * rng.normal(size=44),
+        np.linspace(0.3, 0.32, 44),
+    ):
+        measured = target + drift_mm + 5e-4 * rng.normal(size=44)
+        ones = np.ones(44)
+        refuse_other_units(Records.of({"run": ones, "direction": ones, "target_mm": target, "measured_mm": measured}))
 
 
 def test_errors_in_place_of_positions_are_refused() -> None:
