@@ -14,6 +14,7 @@ from support.campaigns import NOTHING, campaign, wavy
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.result import Finding
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Choice, Setting, grid_choices
 from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
@@ -254,3 +255,16 @@ def test_a_thermometer_is_not_read_more_sharply_than_its_noise_allows(noise_k: f
         for some in (kept, both if forms == 1 else both[:1])
     ]
     assert left[0] < 0.9 * left[1]
+
+
+def test_a_bound_that_the_fits_by_other_columns_do_not_have_is_stated_all_the_same() -> None:
+    """A lag known to half of itself by one fit, and better by those that tell which column it follows."""
+    searcher, _ = searched("settles, and its end is not seen")
+    survey = searcher.linear.campaign.survey
+    form = next(form for form in ThermalDrift().forms(survey) if form.name == "lagged temperature")
+
+    def term(std: float) -> Term:
+        return Term(ThermalDrift(), form, (80.0,), (-2.0,), ((0.04, 0.0), (0.0, std**2)))
+
+    finding = Finding(term(60.0), 0.9, follows=((term(8.0), 0.6), (term(9.0), 0.4)))
+    assert set(finding.parameters) == {"coefficient_um_per_k", "least_lag_s", "most_lag_s"}
