@@ -77,7 +77,9 @@ UNSEARCHED = Subject(NonParametric(), frozenset(), CATALOGUE_COLUMNS, CATALOGUE_
 
 def forms_of_structures() -> list[Form]:
     """One form of each kind that the diagnosis makes of what it cannot explain; no effect, but a term of models like any."""
-    found = structures(prepare(Records.of(CATALOGUE_COLUMNS)))
+    errors_mm = CATALOGUE_COLUMNS["measured_mm"]  # what varies as an error does, for the effects
+    columns = {**CATALOGUE_COLUMNS, "measured_mm": CATALOGUE_COLUMNS["target_mm"] + errors_mm}
+    found = structures(prepare(Records.of(columns)))
     return list({one.form.name: one.form for one in (*found.structures, *found.fine)}.values())
 
 

@@ -164,6 +164,6 @@ def noise_with_speed(left_um: Floats, campaign: CampaignRows) -> Floats | None:
     scales = 1.0 + GROWTHS[:, None] * speed / float(np.max(speed))
     worth = -len(size) * np.log(np.mean(size / scales, axis=1) / np.mean(size)) - np.sum(np.log(scales), axis=1)
     best = int(np.argmax(worth))
-    if worth[best] < policy().very_strong:
+    if worth[best] < policy().decisive:
         return None
     return np.asarray(scales[best] / np.sqrt(np.mean(scales[best] ** 2)))

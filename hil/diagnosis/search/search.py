@@ -114,7 +114,7 @@ def with_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection
         return found
     worth = judged(searcher, found.choices, found.noise)
     effects = {choice.effect.id for choice in mine}
-    least = worth + (policy().pair_of_none, policy().very_strong, policy().positive)[min(len(effects), 2)]
+    least = worth + (policy().pair_of_none, policy().decisive, policy().positive)[min(len(effects), 2)]
     best: tuple[float, list[Choice]] | None = None
     for pair in best_pairs(searcher, rest, found.noise, least - policy().refinement):
         trial = settled(searcher, [*rest, *pair], found.noise, columns=False)

@@ -269,7 +269,7 @@ def memory(searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> Memory
         return max(((searcher.evidence(chosen, t) - t.log_prior(), t) for t in trials), key=lambda pair: pair[0])
 
     ordinary, (strong, model) = best(ORDINARY)[0], best(STRONG)
-    if strong <= ordinary + policy().very_strong:
+    if strong <= ordinary + policy().decisive:
         return None
     return Memory(model, strong - ordinary, _strength_um(searcher, chosen, noise))
 

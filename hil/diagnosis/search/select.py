@@ -133,10 +133,10 @@ def select(
 def drop(
     searcher: Searcher, chosen: Sequence[Choice], noise: Noise, fixed: int = 0, least: float | None = None
 ) -> list[Choice]:
-    """Removes the terms after the first `fixed` that contribute less than `least` (the policy's `very_strong`) beside the others, the
+    """Removes the terms after the first `fixed` that contribute less than `least` (the policy's `decisive`) beside the others, the
     weakest first.
     """
-    least = policy().very_strong if least is None else least
+    least = policy().decisive if least is None else least
     current = list(chosen)
     while len(current) > fixed:
         whole, _ = searcher.profiled_evidence(current, noise)
@@ -179,9 +179,9 @@ def _foreign(
             gains = np.where(of_other_columns, score(projection, catalogue.stack(projection.whitened)).gain, -np.inf)
             top = int(np.argmax(gains))
             total = searcher.evidence(rest, trial) + float(gains[top])
-            if total > worth + policy().very_strong / len(group) and total > base + policy().very_strong:
+            if total > worth + policy().decisive / len(group) and total > base + policy().decisive:
                 ranking = rank(searcher, rest, noise)
-                if ranking and ranking[0].evidence > max(total - policy().very_strong, worth):
+                if ranking and ranking[0].evidence > max(total - policy().decisive, worth):
                     return odds, rest, Stage(base, ranking, True)
                 return odds, rest, hit_of(projection, catalogue.structures[top], float(gains[top]), 0.0)
             if best is None or total - worth > best.log_odds:
