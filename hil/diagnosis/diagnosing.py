@@ -27,7 +27,7 @@ from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, No
 from hil.diagnosis.search.choose import Chosen, Problem, choose, may_be_misfit, problem_of, settle
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
 from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
-from hil.diagnosis.search.select import Selected, drop
+from hil.diagnosis.search.select import drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
 from hil.diagnosis.stored import can_be_held_out
 from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, steadier, within_what_was_seen
@@ -238,16 +238,11 @@ def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> tuple[JointF
     choice = unproven_choice(problem, chosen)
     if choice is None:
         return None
-    fit, _ = smooth_fit(chosen.last, (choice,))
+    searcher = chosen.last.searcher
+    fit = searcher.fit_of_unknown_noise((choice,), searcher.smooth((choice,), chosen.last.noise))
     if rms_of_term(fit.found[0], problem.campaign.columns).value < policy().wander * noise_um:
         return None
     return fit, (choice,)
-
-
-def smooth_fit(selected: Selected, choices: Sequence[Choice]) -> tuple[JointFit, Noise]:
-    """The fit of some choices beside a table as smooth as the rows show, and its noise model."""
-    noise = selected.searcher.smooth(choices, selected.noise)
-    return selected.searcher.fit_of_unknown_noise(choices, noise), noise
 
 
 def _at_its_best(chosen: Chosen, rows: AllRows) -> tuple[Chosen, Noise, list[str]]:
@@ -259,12 +254,8 @@ def _at_its_best(chosen: Chosen, rows: AllRows) -> tuple[Chosen, Noise, list[str
     steady, notes = steadier(last.searcher, noise, kept, rows.searched_as_read)
     moved = at_the_maximum(last.searcher, steady, noise)
     fit = with_regions(last.searcher, last.searcher.fit_of_unknown_noise(moved, noise), moved, noise)
-    away = tuple(one for one in last.choices if not any(one is other for other in kept))
-    return (
-        replace(chosen, selections=(*chosen.selections[:-1], replace(last, choices=(*moved, *away))), fit=fit),
-        noise,
-        notes,
-    )
+    best = replace(last, choices=(*moved, *(one for one in last.choices if one not in kept)))
+    return replace(chosen, selections=(*chosen.selections[:-1], best), fit=fit), noise, notes
 
 
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
@@ -479,7 +470,7 @@ def beside_the_rest(
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
     again = settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
     if len(kept) < len(chosen.kept):
-        wander = [one for one in left if one not in beside]
+        wander = (one for one in left if _is_wander(one, chosen, campaign))
         sizes = (*sized(last.searcher, again.kept, noise, beside), *wander)
         left = tuple(sorted(sizes, key=lambda one: -one.rms.value))
     return again, left

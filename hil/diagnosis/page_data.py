@@ -9,14 +9,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hil.app.desk.campaigns import Measurement, measurements
-from hil.app.report.views import label_of, list_of, object_of, objects_of, value_of
+from hil.app.report.views import estimate_of, label_of, list_of, object_of, objects_of, value_of
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion import InMotion
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.stored import can_be_held_out, read_stored, sources
-from hil.effects import Estimate
 
 Points = tuple[tuple[float, float], ...]
 SIGNS = {1: "+", -1: "−"}
@@ -148,13 +147,6 @@ def _carrier(form: Mapping[str, Any]) -> tuple[tuple[str, ...], float | None, fl
     return columns, value_of(form, "rms_um"), value_of(form, "rms_std_um")
 
 
-def _ends(form: object) -> tuple[float, float] | None:
-    value, std, low, high = (value_of(form, name) for name in ("value", "std", "low", "high"))
-    if value is None or std is None or low is None or high is None:
-        return None
-    return None if Estimate(value, std, (low, high)).is_symmetric else (low, high)
-
-
 def _finding(form: Mapping[str, Any], curves: Curves | None, of: Mapping[str, Any]) -> ShownFinding:
     parameters = object_of(form.get("parameters")).items()
     rivals = objects_of(form.get("rivals"))
@@ -169,7 +161,7 @@ def _finding(form: Mapping[str, Any], curves: Curves | None, of: Mapping[str, An
         str(of.get("name", "")),
         tuple(map(str, list_of(of.get("inputs")))),
         value_of(form, "rms_um"),
-        {name: ends for name, one in parameters if (ends := _ends(one)) is not None},
+        {name: one.interval for name, form in parameters if (one := estimate_of(form)) and not one.is_symmetric},
     )
 
 

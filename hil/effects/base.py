@@ -80,7 +80,7 @@ class Estimate:
         if self.profiled is None:
             return True
         sides = (self.value - self.interval[0], self.interval[1] - self.value)
-        return all(abs(side - 2.0 * self.std) <= SYMMETRIC * 2.0 * self.std for side in sides)
+        return all(abs(side - COVERS * self.std) <= SYMMETRIC * COVERS * self.std for side in sides)
 
     @property
     def size(self) -> Estimate:
@@ -94,7 +94,7 @@ class Estimate:
     def __str__(self) -> str:
         if not self.is_symmetric:
             return f"{self.value:.4g} ({self.interval[0]:.4g} to {self.interval[1]:.4g})"
-        return f"{self.value:.4g} ± {float(f'{2.0 * self.std:.2g}'):g}"
+        return f"{self.value:.4g} ± {float(f'{COVERS * self.std:.2g}'):g}"
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from operator import itemgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE, most_noise, without_noise
+from hil.effects.thermometers import is_temperature, most_noise, without_noise
 
 Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
@@ -214,7 +214,7 @@ class Course:
     def note(self, now_s: float, known: Mapping[str, float]) -> None:
         """Take in the columns at a moment of a clock that is never set."""
         for name, value in known.items():
-            if not (TEMPERATURE.fullmatch(name) or name == AIR_TEMPERATURE) or not math.isfinite(value):
+            if not is_temperature(name) or not math.isfinite(value):
                 continue
             said = self._said.setdefault(name, [])
             if len(said) > 1 and now_s - said[-2][0] < OFTEN_S:

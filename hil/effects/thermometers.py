@@ -66,6 +66,11 @@ STEPS = 16
 """Values of λ tried, in the time over which they smooth: from half an interval to a quarter of the record."""
 
 
+def is_temperature(column: str) -> bool:
+    """Whether a column is a temperature of the machine or of the air."""
+    return column == AIR_TEMPERATURE or TEMPERATURE.fullmatch(column) is not None
+
+
 def most_noise(column: str) -> float | None:
     """Noise of a column's sensor up to which its readings are smoothed, in the unit of the column; None for one that is not."""
     return MOST_NOISE_K if TEMPERATURE.fullmatch(column) else AIR.get(column)

@@ -156,12 +156,11 @@ def seen_in_rows(term: Term) -> Seen:
     share, share_slope, second, second_slope = (b - a for a, b in zip(*settled, strict=True))
     gradient = np.zeros(k + len(term.theta))
     gradient[0], gradient[k] = share, c.value * share_slope
-    change = c.value * share
     if slow:
         gradient[1], gradient[k] = second, gradient[k] + term.coefficients[1] * second_slope
-        change += term.coefficients[1] * second
     variance = float(gradient @ np.array(term.covariance) @ gradient)
-    ends = term.range_of(lambda k, theta: _change(k, float(theta[0]), times, slow=slow))
+    change = _change(np.array(term.coefficients), tau.value, times, slow=slow)
+    ends = term.range_of(lambda likely, theta: _change(likely, float(theta[0]), times, slow=slow))
     known = all(one.std < MOST_UNSURE * abs(one.value) for one in (c, tau)) and share >= LEAST_SEEN
     least = tau.value * math.exp(-2.0 * tau.std / tau.value) if tau.profiled is None else tau.profiled[0]
     bound = least if tau.std < UNBOUNDED * tau.value else None

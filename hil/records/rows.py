@@ -217,10 +217,10 @@ def refuse_other_units(records: Records) -> None:
                 f"measured_mm changes by {slope:.3g} mm per mm of target_mm, expected about 1: it is in another unit, counts the other"
                 " way or holds the error instead of the position"
             )
-    for name, values in records.columns.items():
-        for column, least, most, unit, other in OTHER_UNITS:
-            known = values[np.isfinite(values)]
-            if column.fullmatch(name) and len(known) and least <= float(np.mean(known)) <= most:
+    for column, least, most, unit, other in OTHER_UNITS:
+        for name in filter(column.fullmatch, records.columns):
+            known = records[name][np.isfinite(records[name])]
+            if len(known) and least <= float(np.mean(known)) <= most:
                 raise InputError(f"{name} is {np.mean(known):.5g} in the mean, expected {unit}: it looks like {other}")
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hil.app.report.data import NamedCampaign, history, plain
+from hil.effects import Estimate
 from hil.records.rows import Floats, Records
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
@@ -200,6 +201,14 @@ def value_of(holder: object, key: str) -> float | None:
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return None
     return float(value) if abs(value) <= LARGEST else None
+
+
+def estimate_of(form: object) -> Estimate | None:
+    """A parameter of a finding, with its interval where the result has one (older ones do not); None for a bound or anything else."""
+    value, std, low, high = (value_of(form, name) for name in ("value", "std", "low", "high"))
+    if value is None or not std:
+        return None
+    return Estimate(value, std, None if low is None or high is None else (low, high))
 
 
 def object_of(value: object) -> Mapping[str, Any]:

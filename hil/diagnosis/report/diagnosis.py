@@ -26,9 +26,17 @@ from hil.app.report.blocks import (
 )
 from hil.app.report.data import NamedCampaign
 from hil.app.report.svg import Ground, Theme
-from hil.app.report.views import View, finding_view, list_of, object_of, objects_of, position_view, value_of
+from hil.app.report.views import (
+    View,
+    estimate_of,
+    finding_view,
+    list_of,
+    object_of,
+    objects_of,
+    position_view,
+    value_of,
+)
 from hil.diagnosis.report import left_over
-from hil.effects import Estimate
 from hil.figures.verdict import FITTED_PLUS_MINUS
 
 ACTIONS = {
@@ -84,28 +92,19 @@ def _in_short(finding: Mapping[str, Any]) -> str:
     """An effect, its first parameters with twice their standard errors (k = 2), and how sure it is."""
     sizes = []
     for name, form in object_of(finding.get("parameters")).items():
-        value, std = value_of(form, "value"), value_of(form, "std")
-        if value is not None and std:  # 0: a bound, not a fitted value
+        if (known := estimate_of(form)) is not None:
             word, unit = with_unit(name)
-            ends = _ends(form)
-            spread = f"{markup.significant(value)} ± {markup.significant(2.0 * std, 2)}"
-            if ends is not None and not Estimate(value, std, ends).is_symmetric:
-                spread = f"{markup.significant(value)} ({_range(form)})"
-            sizes.append(f"{word} {spread}" + (f" {unit}" if unit != "1" else ""))
+            spread = f"± {markup.significant(2.0 * known.std, 2)}" if known.is_symmetric else f"({_range(form)})"
+            sizes.append(f"{word} {markup.significant(known.value)} {spread}" + (f" {unit}" if unit != "1" else ""))
     sure = value_of(finding, "confidence")
     told = [*sizes[:2], *([] if sure is None else [f"confidence {percent(sure)}"])]
     return f"{finding.get('effect')}" + (f" ({', '.join(told)})" if told else "")
 
 
-def _ends(form: object) -> tuple[float, float] | None:
-    """The interval of a parameter at 95 %; None where the result, an older one, has none."""
-    low, high = value_of(form, "low"), value_of(form, "high")
-    return None if low is None or high is None else (low, high)
-
-
 def _range(form: object) -> str:
-    ends = _ends(form)
-    return "" if ends is None else " to ".join(markup.significant(end) for end in ends)
+    """The interval of a parameter at 95 %; "" where the result, an older one, has none."""
+    known = estimate_of(form)
+    return "" if known is None or known.profiled is None else " to ".join(map(markup.significant, known.profiled))
 
 
 _ENDINGS = {

@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.noise.evidence import Extra, Noise, Projection
+from hil.diagnosis.noise.evidence import Extra, Noise, Projection, explained_by
 from hil.diagnosis.search.fit import Choice, JointFit
+from hil.diagnosis.search.rank import moved
 from hil.diagnosis.search.searcher import Searcher
 from hil.effects import Term
 from hil.effects.base import COVERS, Likely, slopes_of
@@ -44,17 +46,16 @@ def at_the_maximum(searcher: Searcher, choices: Sequence[Choice], noise: Noise) 
     The grid of a search is coarse where rows are many: what it leaves is not in the uncertainty.
     """
     current = list(choices)
-    free = [i for i, one in enumerate(current) if one.theta and not one.form.exhaustive and not one.form.shrunk]
-    if not free:
+    if not any(map(_is_smooth, current)):
         return current
     projection = searcher.projection(noise, searcher.extra([one for one in current if one.form.shrunk]))
     best = _worth(projection, current)
     for _ in range(STEPS):
-        moved = _stepped(projection, current, free)
+        steps = _steps(projection, current)
         for share in (1.0, 0.5, 0.2):
             trial = [
-                one if to is None else replace(one, theta=_between(one, to, share))
-                for one, to in zip(current, moved, strict=True)
+                one if step is None else replace(one, theta=moved(one, (share * step).tolist()))
+                for one, step in zip(current, steps, strict=True)
             ]
             worth = _worth(projection, trial)
             if worth > best:
@@ -67,52 +68,46 @@ def at_the_maximum(searcher: Searcher, choices: Sequence[Choice], noise: Noise) 
     return current
 
 
+def _is_smooth(choice: Choice) -> bool:
+    """Whether the likelihood is smooth in the non-linear parameters of a choice, and it has any."""
+    return bool(choice.theta) and not choice.form.exhaustive and not choice.form.shrunk
+
+
+def _scale(choice: Choice) -> Floats:
+    """Change of each parameter on the scale on which it is searched, per change of the parameter, (t,)."""
+    return np.array(
+        [1.0 / v if p.logarithmic else 1.0 for p, v in zip(choice.form.nonlinear, choice.theta, strict=True)]
+    )
+
+
 def _worth(projection: Projection, choices: Sequence[Choice]) -> float:
     """Log likelihood with the choices' coefficients at their best, up to a constant, with the priors of their parameters."""
     campaign = projection.whitened.campaign
     columns = np.hstack([one.columns(campaign) for one in choices if not one.form.shrunk])
-    a, b = projection.normal(columns)
-    explained = float(b @ np.linalg.pinv(a, rcond=1e-12, hermitian=True) @ b)
-    left = max(float(projection.rss) - explained, 1e-300)
+    left = max(float(projection.rss) - explained_by(*projection.normal(columns)), 1e-300)
     return -0.5 * projection.dof * math.log(left) + sum(one.log_prior for one in choices)
 
 
-def _stepped(projection: Projection, choices: Sequence[Choice], free: Sequence[int]) -> list[tuple[float, ...] | None]:
-    """Where one step leads the parameters of the free choices; None for the others."""
+def _steps(projection: Projection, choices: Sequence[Choice]) -> list[Floats | None]:
+    """One step of the parameters of each choice, on the scale on which they are searched; None where the likelihood is not smooth."""
     campaign = projection.whitened.campaign
     linear = [one.columns(campaign) for one in choices if not one.form.shrunk]
     coefficients = projection.estimate(np.hstack(linear))
     slopes, at = [], 0
-    for i, one in enumerate(choices):
-        if one.form.shrunk:
+    for one, columns in zip((one for one in choices if not one.form.shrunk), linear, strict=True):
+        if _is_smooth(one):
+            slopes.append(slopes_of(campaign.columns, one, coefficients[at : at + columns.shape[1]]))
+        at += columns.shape[1]
+    step = projection.estimate(np.hstack([*linear, *slopes]))
+    found: list[Floats | None] = []
+    for one in choices:
+        if not _is_smooth(one):
+            found.append(None)
             continue
-        width = one.columns(campaign).shape[1]
-        if i in free:
-            slopes.append(slopes_of(campaign.columns, one, coefficients[at : at + width]))
-        at += width
-    step = projection.estimate(np.hstack([*linear, *slopes]))[at:]
-    moved: list[tuple[float, ...] | None] = [None] * len(choices)
-    at = 0
-    for i in free:
-        one = choices[i]
-        moved[i] = tuple(
-            value + change for value, change in zip(one.theta, step[at : at + len(one.theta)], strict=True)
-        )
+        by = step[at : at + len(one.theta)] * _scale(one)
+        found.append(np.where([p.logarithmic for p in one.form.nonlinear], np.clip(by, -LONGEST, LONGEST), by))
         at += len(one.theta)
-    return moved
-
-
-def _between(choice: Choice, to: Sequence[float], share: float) -> tuple[float, ...]:
-    """Parameters a share of the way to others, within their bounds, on the scale on which they are searched."""
-    found = []
-    for parameter, value, end in zip(choice.form.nonlinear, choice.theta, to, strict=True):
-        if parameter.logarithmic:
-            change = min(max((end - value) / value, -LONGEST), LONGEST)
-            moved = value * math.exp(share * change)
-        else:
-            moved = value + share * (end - value)
-        found.append(min(max(moved, parameter.lower), parameter.upper))
-    return tuple(found)
+    return found
 
 
 def with_regions(searcher: Searcher, fit: JointFit, choices: Sequence[Choice], noise: Noise) -> JointFit:
@@ -127,7 +122,7 @@ def with_regions(searcher: Searcher, fit: JointFit, choices: Sequence[Choice], n
             continue
         beside = searcher.extra([*choices[:i], *choices[i + 1 :]])
         for other, known in zip(choices, fit.found, strict=True):
-            if known is not term and other.theta and not other.form.exhaustive and not other.form.shrunk:
+            if known is not term and _is_smooth(other):
                 slopes = slopes_of(searcher.linear.campaign.columns, other, np.array(known.coefficients))
                 beside = beside.plus(Extra(slopes, slopes[:, :0]))
         region = _Region.of(searcher.projection(noise, beside), choice, term)
@@ -140,14 +135,12 @@ class _Region:
     """projection: with everything else in the fit, the slopes of other effects too
     variance: of the white noise, as the covariance of the term has it: that of the parameter which the noise models widen most
     root: square root of the covariance of the parameters on the scale of their search, (t, t)
-    best: twice the log likelihood at the maximum
     """
 
     projection: Projection
     choice: Choice
     variance: float
     root: Floats
-    best: float
 
     @classmethod
     def of(cls, projection: Projection, choice: Choice, term: Term) -> _Region | None:
@@ -161,14 +154,14 @@ class _Region:
         if np.any(linear <= 0.0) or np.any(np.diag(known) <= 0.0):
             return None
         variance = float(np.max(np.diag(known) / linear))
-        scale = np.array(
-            [1.0 / v if p.logarithmic else 1.0 for p, v in zip(choice.form.nonlinear, term.theta, strict=True)]
-        )
-        values, vectors = (
-            np.linalg.eigh(known[k:, k:] * np.outer(scale, scale)) if len(scale) else (np.zeros(0), np.zeros((0, 0)))
-        )
-        found = cls(projection, choice, variance, vectors * np.sqrt(np.maximum(values, 0.0)), 0.0)
-        return replace(found, best=found._height(choice.theta))
+        scale = _scale(choice)
+        values, vectors = np.linalg.eigh(known[k:, k:] * np.outer(scale, scale))
+        return cls(projection, choice, variance, vectors * np.sqrt(np.maximum(values, 0.0)))
+
+    @cached_property
+    def _best(self) -> float:
+        """Twice the log likelihood at the maximum."""
+        return self._height(self.choice.theta)
 
     def _solved(self, theta: Sequence[float]) -> tuple[float, Floats, Floats]:
         """At these parameters: explained sum of squares, coefficients (k,), and their covariance over the variance (k, k)."""
@@ -183,16 +176,11 @@ class _Region:
         return self._solved(theta)[0] / self.variance + 2.0 * prior
 
     def _drop(self, theta: Sequence[float]) -> float:
-        return max(self.best - self._height(theta), 0.0)
+        return max(self._best - self._height(theta), 0.0)
 
     def _out(self, way: Floats, distance: float) -> tuple[float, ...]:
         """Parameters so many standard deviations away, within their bounds."""
-        step = self.root @ way * distance
-        found = []
-        for parameter, value, by in zip(self.choice.form.nonlinear, self.choice.theta, step.tolist(), strict=True):
-            moved = value * math.exp(min(max(by, -50.0), 50.0)) if parameter.logarithmic else value + by
-            found.append(min(max(moved, parameter.lower), parameter.upper))
-        return tuple(found)
+        return moved(self.choice, (distance * (self.root @ way)).tolist())
 
     def _end(self, way: Floats) -> float:
         """Distance at which the region ends on a way out."""

@@ -32,6 +32,8 @@ SWEEPS = 2
 """Times that the parameters of each of several choices are refined beside the others."""
 FIRST = 0.6
 """First step, as a share of the grid spacing."""
+MOST_EXPONENT = 700.0
+"""Of it the exponential is still a number, beyond the bounds of every parameter."""
 OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}
 """Trial offsets in steps, by number of parameters."""
 
@@ -157,13 +159,22 @@ def _around(choice: Choice, steps: Sequence[float], *, centre: bool) -> list[tup
     for shift in itertools.product(offsets, repeat=len(steps)):
         if not centre and not any(shift):
             continue
-        theta = tuple(
-            min(max(_outward(p, c + s * step), p.lower), p.upper)
-            for p, c, s, step in zip(choice.form.nonlinear, middle, shift, steps, strict=True)
-        )
+        theta = _moved(choice, middle, [s * step for s, step in zip(shift, steps, strict=True)])
         if theta not in out:
             out.append(theta)
     return out
+
+
+def moved(choice: Choice, by: Sequence[float]) -> tuple[float, ...]:
+    """The parameters of a choice moved on the scale on which they are searched, within their bounds."""
+    return _moved(choice, _inward(choice, choice.theta), by)
+
+
+def _moved(choice: Choice, middle: Sequence[float], by: Sequence[float]) -> tuple[float, ...]:
+    return tuple(
+        min(max(_outward(p, c + step), p.lower), p.upper)
+        for p, c, step in zip(choice.form.nonlinear, middle, by, strict=True)
+    )
 
 
 def _inward(choice: Choice, theta: Sequence[float]) -> list[float]:
@@ -171,7 +182,7 @@ def _inward(choice: Choice, theta: Sequence[float]) -> list[float]:
 
 
 def _outward(parameter: NonLinear, value: float) -> float:
-    return math.exp(value) if parameter.logarithmic else value
+    return math.exp(min(value, MOST_EXPONENT)) if parameter.logarithmic else value
 
 
 SMOOTHER = ((0.4, 1.0), (0.15, 1.0), (0.05, 1.0), (1.0, 0.4), (1.0, 0.15))

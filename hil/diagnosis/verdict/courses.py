@@ -69,13 +69,9 @@ def steadier(
     columns, notes, kept = searcher.linear.campaign.columns, list[str](), tuple(choices)
     for effect in dict.fromkeys(choice.effect for choice in choices):
         mine = [choice for choice in kept if choice.effect is effect]
-        followed = {choice.form.inputs[0] for choice in mine if follows_a_temperature(choice.form)}
-        if (
-            effect.several
-            or len(mine) == 1
-            or len(followed) != 1
-            or not all(follows_a_temperature(c.form) for c in mine)
-        ):
+        if effect.several or len(mine) == 1 or not all(follows_a_temperature(choice.form) for choice in mine):
+            continue
+        if len({choice.form.inputs[0] for choice in mine}) > 1:
             continue
         others = [choice for choice in kept if choice.effect is not effect]
         alone = max(refine(searcher.projection(noise, searcher.extra(others)), mine), key=lambda pair: pair[1])[0]

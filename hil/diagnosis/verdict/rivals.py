@@ -18,7 +18,7 @@ from hil.diagnosis.search.rank import by_column
 from hil.diagnosis.verdict.held_out import ONCE, few_of
 from hil.effects import Effect, Survey, Term
 from hil.effects.load_deflection import is_tilt
-from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE
+from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE, is_temperature
 
 Floats = NDArray[np.float64]
 
@@ -159,7 +159,7 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     if AIR_TEMPERATURE not in recorded or without_temperature:
         for name, by_air in by_air_or_machine:
             term = found.get(name)
-            if term is None or not any(map(_is_temperature, term.needs)):
+            if term is None or not any(map(is_temperature, term.needs)):
                 continue
             if name == "thermal_drift" or term.effect.implausible(term):
                 out[name] = (*out.get(name, ()), by_air)
@@ -193,20 +193,15 @@ def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
     which is not the effect's, and all of it may be that. In the effect's own columns alone it is another form of the same cause. A
     function of the position alone may be the mean of what changes along it with another column, or with the way since the reversal.
     """
-    needs = {_kind(name) for term in finding.terms for name in term.needs}
+    names = {name for term in finding.terms for name in term.needs}
+    needs = set(map(_kind, names))
     own = needs - {"target_mm", "direction"}
-    if any(
-        _is_temperature(name) for term in finding.terms for name in term.needs
-    ):  # a lag reads the time, nothing else does
+    if any(map(is_temperature, names)):  # a lag reads the time, and nothing else follows it
         own -= {"time_s", "row_order"}
     columns = {_kind(name) for name in carrier.columns if name != "direction"}
     if "target_mm" in needs and not own:
         return "way" in columns or ("target_mm" in columns and len(columns - {"run", "row_order"}) > 1)
     return bool(columns & own) and not columns <= own
-
-
-def _is_temperature(column: str) -> bool:
-    return column == AIR_TEMPERATURE or TEMPERATURE.fullmatch(column) is not None
 
 
 def _kind(column: str) -> str:

@@ -13,8 +13,9 @@ from hil.app.panel.texts import LANGUAGES, Texts
 from hil.diagnosis.follow_up import ALONE_MIN
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
-from hil.diagnosis.page_data import ShownFinding
+from hil.diagnosis.page_data import ShownFinding, _finding
 from hil.diagnosis.pages.sentences import parameter, sentence
+from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import Finding, RivalFound
 from hil.diagnosis.verdict.held_out import suspected_note
 from hil.effects import ALL, Effect, Form, Term, survey_of
@@ -204,3 +205,26 @@ def test_figures_to_so_many_digits() -> None:
     assert en.estimate(0.5, None) == "0.5"
     assert en.estimate(0.5, float("nan"), "mm") == "0.5 mm"
     assert en.estimate(None, None) == "–"
+
+
+@pytest.mark.parametrize(
+    ("ends", "panel", "report"),
+    [
+        ({"low": 4.1, "high": 5.3}, "4.7 ± 0.6 µm", "4.7 ± 0.6 µm"),
+        ({"low": 4.2, "high": 5.9}, "4.7 (4.2 … 5.9) µm", "4.7 (4.2 to 5.9) µm"),
+        ({}, "4.7 ± 0.6 µm", "4.7 ± 0.6 µm"),  # of an older version
+    ],
+)
+def test_screen_and_report_say_the_ends_where_plus_minus_does_not_say_as_much(
+    ends: dict[str, float], panel: str, report: str
+) -> None:
+    told = {
+        "effect": "thermal_drift",
+        "parameters": {"drift_um": {"value": 4.7, "std": 0.3, **ends}},
+        "explanation": "It drifts.",
+    }
+    shown = _finding(told, None, {"name": "warming since the start", "inputs": ["time_s"]})
+    ((name, value, std),) = shown.parameters
+    said = Texts("en").estimate(value, std, "µm", shown.intervals.get(name))
+    assert said == panel
+    assert report in diagnosis_part._in_short(told)
