@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from hil.diagnosis.search.rank import by_column
 from hil.diagnosis.verdict.held_out import ONCE, few_of
 from hil.effects import Effect, Survey, Term
 from hil.effects.load_deflection import is_tilt
+from hil.effects.survey import OTHER_AXIS
 from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE, is_temperature
 
 Floats = NDArray[np.float64]
@@ -32,6 +34,7 @@ FORCES = frozenset({"load_kg", "torque_percent"})
 ANGLES = ("pitch_urad", "yaw_urad")
 SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
 """Effects that are an offset in the course of time."""
+NOTHING: Mapping[str, Sequence[str]] = MappingProxyType({})
 WAY = ("since_reversal_mm", "stroke_mm")
 """Columns of the way to the target."""
 
@@ -68,10 +71,13 @@ def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
     return {}
 
 
-def separating(effect: Effect, rival: str) -> str:
+def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
+    """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
     for known in effect.rivals:
         if known.effect == rival:
             return known.separate_by
+    if absent:
+        return f"record in every row: {'; '.join(absent)}"
     return "a campaign in which the columns the two read vary apart"
 
 
@@ -137,7 +143,8 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
     load and a temperature tilt the carriage: a deflection alike in both directions, or one beside a slow course, may be an arm times
     an angle that was not measured; an arm where the load is not known may be a deflection. The air of the shop warms with the machine:
     a drift with a temperature may be that of a dead path, and a growth that no material has that of the air's index; where no
-    temperature of the machine is known, what the air does may be the machine's, and the other way round.
+    temperature of the machine is known, what the air does may be the machine's, and the other way round. A jump may be a load that was
+    put on, or another axis that went elsewhere.
     """
     found = {finding.effect: finding.term for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
@@ -152,6 +159,10 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
         out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
     if "abbe" in found and deflection is None and "load_kg" not in recorded:
         out["abbe"] = ("load_deflection",)
+    if "datum_step" in found and "load_kg" not in recorded:
+        out["datum_step"] = (*out.get("datum_step", ()), "load_deflection")
+    if "datum_step" in found and not any(map(OTHER_AXIS.fullmatch, recorded)):
+        out["datum_step"] = (*out.get("datum_step", ()), "cross_axis")
     by_air_or_machine = (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index"))
     without_temperature = not any(TEMPERATURE.fullmatch(column) for column in recorded)
     if without_temperature:
@@ -169,11 +180,14 @@ def not_told_apart(findings: Sequence[Finding], recorded: Collection[str]) -> di
 def with_rivals(
     findings: Sequence[Finding],
     doubted: Collection[str],
-    unseen: Sequence[str],
+    unseen: Mapping[str, Sequence[str]],
     recorded: Collection[str],
     carriers: Sequence[Carrier],
 ) -> tuple[Finding, ...]:
-    """The findings beside what is left, those of the effects in doubt beside the causes that nobody recorded."""
+    """The findings beside what is left, those of the effects in doubt beside the causes that nobody recorded.
+
+    unseen: of each effect the columns that nobody recorded
+    """
     by_one_column = not_told_apart(findings, recorded)
     out = []
     for finding in findings:
@@ -182,7 +196,7 @@ def with_rivals(
         refuted = any(is_refuted_by(finding, carrier) for carrier in carriers)
         if refuted:
             names = tuple(dict.fromkeys((*names, OUTSIDE)))
-        beside = beside_unseen_causes(finding, names) if names else finding
+        beside = beside_unseen_causes(finding, names, unseen) if names else finding
         left_um = max((carrier.rms.value for carrier in carriers), default=0.0)
         out.append(beside if refuted else beside_what_is_left(beside, left_um))
     return tuple(out)
@@ -209,20 +223,25 @@ def _kind(column: str) -> str:
     return "way" if column in WAY else "temperature" if TEMPERATURE.fullmatch(column) else column
 
 
-def unrecorded(effects: Sequence[Effect], survey: Survey, recorded: Collection[str]) -> tuple[str, ...]:
-    """Effects that could show in columns nobody recorded. A speed that was not recorded is rest."""
-    absent = {name for name in SENSORS if name not in recorded}
-    wider = replace(survey, varying=survey.varying | absent, mean={**dict.fromkeys(absent, 1.0), **survey.mean})
-    return tuple(effect.id for effect in effects if any(absent & set(form.inputs) for form in effect.forms(wider)))
+def unrecorded(effects: Sequence[Effect], survey: Survey, recorded: Collection[str]) -> dict[str, tuple[str, ...]]:
+    """Of each effect that could show in columns nobody recorded, these. A speed that was not recorded is rest."""
+    absent = [name for name in SENSORS if name not in recorded]
+    wider = replace(survey, varying=survey.varying.union(absent), mean={**dict.fromkeys(absent, 1.0), **survey.mean})
+    read = {effect.id: {name for form in effect.forms(wider) for name in form.inputs} for effect in effects}
+    return {
+        effect: tuple(name for name in absent if name in names) for effect, names in read.items() if names & set(absent)
+    }
 
 
-def beside_unseen_causes(finding: Finding, names: Sequence[str]) -> Finding:
+def beside_unseen_causes(
+    finding: Finding, names: Sequence[str], unseen: Mapping[str, Sequence[str]] = NOTHING
+) -> Finding:
     """The finding with rivals that nobody recorded, together nearly as likely as itself."""
     other = finding.confidence * math.exp(-policy().unseen / policy().temperature)
     share = 1.0 / (1.0 + other)
     known = {rival.effect: rival.confidence for rival in finding.rivals}
     known |= {name: known.get(name, 0.0) + other / len(names) for name in names}
-    return _weighed(finding, share, {name: weight * share for name, weight in known.items()})
+    return _weighed(finding, share, {name: weight * share for name, weight in known.items()}, unseen)
 
 
 def beside_what_is_left(finding: Finding, left_um: float) -> Finding:
@@ -235,8 +254,12 @@ def beside_what_is_left(finding: Finding, left_um: float) -> Finding:
     return _weighed(finding, share, {name: one for name, one in known.items() if one > policy().least_confidence})
 
 
-def _weighed(finding: Finding, share: float, rivals: Mapping[str, float]) -> Finding:
+def _weighed(
+    finding: Finding, share: float, rivals: Mapping[str, float], unseen: Mapping[str, Sequence[str]] = NOTHING
+) -> Finding:
     """The finding with this share of its confidence, beside rivals of these weights."""
-    apart = (RivalFound(name, weight, separating(finding.term.effect, name)) for name, weight in rivals.items())
+    said = {rival.effect: rival.separate_by for rival in finding.rivals}
+    said |= {name: separating(finding.term.effect, name, unseen.get(name, ())) for name in rivals if name not in said}
+    apart = (RivalFound(name, weight, said[name]) for name, weight in rivals.items())
     ordered = tuple(sorted(apart, key=lambda rival: -rival.confidence))
     return replace(finding, confidence=finding.confidence * share, rivals=ordered)

@@ -807,8 +807,8 @@ def test_a_cause_whose_sensor_nobody_recorded_is_a_rival_of_what_is_in_doubt() -
     assert set(unrecorded(ALL, bare, ())) == {
         *("abbe", "air_index", "dead_path", "load_deflection", "cross_axis", "thermal_expansion", "thermal_drift"),
     }, "a speed that was not recorded is rest"
-    assert unrecorded(ALL, bare, SENSORS) == (), "what was recorded and did not vary is no rival"
-    assert set(unrecorded(ALL, bare, set(SENSORS) - {"yaw_urad"})) == {"abbe"}
+    assert unrecorded(ALL, bare, SENSORS) == {}, "what was recorded and did not vary is no rival"
+    assert unrecorded(ALL, bare, set(SENSORS) - {"yaw_urad"}) == {"abbe": ("yaw_urad",)}
     doubted = beside_unseen_causes(finding_of("load_deflection", "load_kg"), ("unexplained", "abbe"))
     weights = {rival.effect: rival.confidence for rival in doubted.rivals}
     assert weights["abbe"] == pytest.approx(weights["unexplained"])
@@ -853,6 +853,30 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
     assert not_told_apart([steel], without_air) == {}
 
 
+WAY_ONLY = ("run", "direction", "target_mm", "time_s")
+
+
+def test_a_jump_may_be_a_load_that_was_put_on_or_another_axis_that_moved_where_these_were_not_recorded() -> None:
+    jump = finding_of("datum_step", "time_s")
+    assert not_told_apart([jump], ("load_kg", "pos_y_mm")) == {}
+    assert not_told_apart([jump], ("pos_z_mm",)) == {"datum_step": ("load_deflection",)}
+    assert not_told_apart([jump], ("load_kg",)) == {"datum_step": ("cross_axis",)}
+    bare = survey_of(
+        {
+            name: values
+            for name, values in prepare(workshop(31, noise_um=NOISE_UM)[0]).columns.items()
+            if name in WAY_ONLY
+        }
+    )
+    (told,) = with_rivals([jump], (), unrecorded(ALL, bare, WAY_ONLY), WAY_ONLY, ())
+    assert told.confidence < 0.7
+    separate_by = {rival.effect: rival.separate_by for rival in told.rivals}
+    assert separate_by["load_deflection"] == "record in every row: load_kg; torque_percent"
+    assert separate_by["cross_axis"] == "record in every row: pos_y_mm"
+    left = beside_what_is_left(told, 0.5)
+    assert {rival.effect: rival.separate_by for rival in left.rivals}.items() >= separate_by.items()
+
+
 @pytest.mark.parametrize(
     ("effect", "column", "left", "refuted"),
     [
@@ -875,7 +899,7 @@ def test_a_name_is_refuted_by_what_is_left_along_its_column_and_another(
     finding = finding_of(effect, column)
     carrier = Carrier(left, Estimate(0.1, 0.01), 1e-6)
     assert is_refuted_by(finding, carrier) is refuted
-    (told,) = with_rivals([finding], (), (), SENSORS, [carrier])
+    (told,) = with_rivals([finding], (), {}, SENSORS, [carrier])
     assert (told.confidence < 0.7) is refuted, "however small it is"
     assert ("unexplained" in {rival.effect for rival in told.rivals if rival.confidence > 0.3}) is refuted
 

@@ -18,6 +18,7 @@ from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import Finding, RivalFound
 from hil.diagnosis.verdict.held_out import suspected_note
+from hil.diagnosis.verdict.rivals import SENSORS, separating
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
@@ -172,12 +173,20 @@ def runs() -> Iterator[str]:
 
 def test_what_separates_rivals_and_the_next_measurement_are_said_in_every_language() -> None:
     said = {rival.separate_by for effect in ALL for rival in effect.rivals} | {ALONE_MIN, *runs()}
+    said |= {separating(ALL[0], "some other")}
     for text in said:
         assert Texts("en").said(text) == text
         german = Texts("de").said(text)
         assert german != text
         assert not re.search(r"\d\.\d|somebody| rows| the ", german), german
         assert set(LATIN.findall(Texts("zh").said(text).replace("abbe_offset_mm", ""))) <= OURS, text
+
+
+def test_what_to_record_is_said_in_every_language() -> None:
+    text = separating(ALL[0], "some other", SENSORS)
+    assert Texts("en").said(text).startswith("record in every row: load; torque; pitch")
+    assert Texts("de").said(text).startswith("in jeder Zeile aufzeichnen: Last; Drehmoment; ")
+    assert set(LATIN.findall(Texts("zh").said(text))) <= OURS
 
 
 def test_parts_of_what_is_said_are_said_too() -> None:
