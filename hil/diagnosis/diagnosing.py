@@ -30,14 +30,7 @@ from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
 from hil.diagnosis.search.select import drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
 from hil.diagnosis.stored import can_be_held_out
-from hil.diagnosis.verdict.courses import (
-    bounded_note,
-    course_note,
-    courses_as_good,
-    start_note,
-    steadier,
-    within_what_was_seen,
-)
+from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, steadier, within_what_was_seen
 from hil.diagnosis.verdict.held_out import (
     ONCE,
     HeldOut,
@@ -61,7 +54,7 @@ from hil.diagnosis.verdict.rivals import (
 from hil.effects import ALL, Action, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
-from hil.effects.warming import is_bounded, starts_away
+from hil.effects.warming import is_bounded
 from hil.records.rows import UM_PER_MM, Records
 
 Floats = NDArray[np.float64]
@@ -144,9 +137,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
     worse = _corrects_worse(findings, left_out) if declared is None else set()
     if worse:  # the table alone predicts runs left out better; a declared one may be of these rows
-        extended = within_what_was_seen(
-            refitted_without(chosen, worse, noise).fit, courses, rows.columns
-        ).for_other_rows()
+        extended = within_what_was_seen(refitted_without(chosen, worse, noise).fit, courses, rows.columns)
         left_out = left_out if _corrected(findings) - worse else replace(left_out, after=left_out.before)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     found_out = Diagnosis(
@@ -236,11 +227,10 @@ def _put_into_force(
     declared = [term for term in bounded.extended.terms if term not in bounded.found]
     names = {choice.effect.id: choice.form.inputs[0] for choice in choices if choice.effect.id in courses}
     notes = [bounded_note(term) for term in declared if is_bounded(term)]
-    notes += [start_note(term) for term in bounded.found if starts_away(term.form)]
     if suspected is not None:  # what a course of time says of it is in that note
-        return bounded.for_other_rows(), courses, [*notes, *map(_suspicion, bounded.found)]
+        return bounded, courses, [*notes, *map(_suspicion, bounded.found)]
     notes = [*(course_note(effect, column, courses[effect]) for effect, column in names.items()), *notes]
-    return bounded.for_other_rows(), courses, notes
+    return bounded, courses, notes
 
 
 def _unproven(problem: Problem, chosen: Chosen, noise_um: float) -> tuple[JointFit, tuple[Choice, ...]] | None:

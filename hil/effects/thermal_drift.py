@@ -17,10 +17,8 @@ from hil.effects.survey import Survey
 from hil.effects.warming import (
     SINCE_START,
     WARMING,
-    away_at_the_start,
     course_odds,
     lag_of,
-    lag_text,
     rise,
     seen_in_rows,
     since_start,
@@ -38,8 +36,8 @@ POWERS = 4
 
 
 class ThermalDrift(Effect):
-    """error_um = c·(T - 20 °C), c in µm/K, also through a first-order lag, settled at the start or not; or c·(1 - e^(-t/τ)), c in µm,
-    τ in s or rows.
+    """error_um = c·(T - 20 °C), c in µm/K, also through a first-order lag; or c·(1 - e^(-t/τ)), c in µm, τ in s or
+    rows.
     """
 
     id: ClassVar[str] = "thermal_drift"
@@ -86,7 +84,7 @@ class ThermalDrift(Effect):
         found = {"coefficient_um_per_k": term.coefficient(0)}
         if term.theta:
             found |= term.positive(0, f"lag_{time_unit(term)}")
-        return found | away_at_the_start(term)
+        return found
 
     def implausible(self, term: Term) -> str | None:
         if term.form.name in (UNEVEN, *SINCE_START) or abs(term.coefficients[0]) <= MOST_UM_PER_K:
@@ -110,5 +108,5 @@ class ThermalDrift(Effect):
                 f"The whole axis drifts by {term.coefficient(0)} µm and settles with a time constant of"
                 f" {term.nonlinear(0)} {time_unit(term)}: something warms up from the start."
             )
-        lag = lag_text(term)
+        lag = f" seen through a lag of {term.positive_text(0, time_unit(term))}" if term.theta else ""
         return f"The whole axis drifts with {term.form.inputs[0]}{lag} by {term.coefficient(0)} µm/K."

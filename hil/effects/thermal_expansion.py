@@ -32,15 +32,12 @@ from hil.effects.warming import (
     ABOUT_A_POINT,
     REFERENCE_C,
     UNLIKE_ALONG,
-    away_at_the_start,
     is_about_a_point,
     is_since_start,
     is_unlike_along,
     lag_of,
-    lag_text,
     rise,
     seen_in_rows,
-    starts_away,
     temperature_forms,
     time_unit,
 )
@@ -53,9 +50,8 @@ OF_WHAT_GROWS = ("temp_screw_c", "temp_scale_c")
 
 class ThermalExpansion(Effect):
     """error_um = α·(x - x₀)·(T - 20 °C)·10⁻³, α in ppm/K, x in mm, reference temperature of ISO 1; or by time since the
-    start, in ppm. Through a lag T may start away from what the sensor says, by D·e^(-t/lag). x₀ is zero, or free: then the basis is
-    x·rise and rise, so that both are linear. As a refinement α changes along the travel: beside them (x - c)²/2h·rise, c the middle
-    and h half the travel.
+    start, in ppm. x₀ is zero, or free: then the basis is x·rise and rise, so that both are linear. As a refinement α changes
+    along the travel: beside them (x - c)²/2h·rise, c the middle and h half the travel.
     """
 
     id: ClassVar[str] = "thermal_expansion"
@@ -78,9 +74,7 @@ class ThermalExpansion(Effect):
         free = [replace(f, constants={**f.constants, **travel}) for f in forms]
         about = (replace(f, name=f.name + ABOUT_A_POINT) for f in free)
         unlike = (
-            replace(f, name=f.name + UNLIKE_ALONG + ABOUT_A_POINT, scan=False)
-            for f in free
-            if not is_since_start(f) and not starts_away(f)
+            replace(f, name=f.name + UNLIKE_ALONG + ABOUT_A_POINT, scan=False) for f in free if not is_since_start(f)
         )
         return (*forms, *about, *unlike)
 
@@ -111,7 +105,6 @@ class ThermalExpansion(Effect):
                 found["change_to_the_end_ppm_per_k"] = term.coefficient(2)
             if term.theta:
                 found |= term.positive(0, f"lag_{time_unit(term)}")
-            found |= away_at_the_start(term)
         point = fixed_point_mm(term)
         return found if point is None else found | {"fixed_point_mm": point}
 
@@ -132,7 +125,7 @@ class ThermalExpansion(Effect):
                 f"The axis grows with time since the start{about}, by {first} ppm of the position in the end,"
                 f" with a time constant of {tau} {time_unit(term)}: it warms up."
             )
-        lag = lag_text(term)
+        lag = f" seen through a lag of {term.positive_text(0, time_unit(term))}" if term.theta else ""
         unlike = ""
         if is_unlike_along(term.form):
             unlike = f" in mid-travel, by {term.coefficient(2)} ppm/K more at its upper end"

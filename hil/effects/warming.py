@@ -20,8 +20,6 @@ REFERENCE_C = 20.0
 """Reference temperature of geometrical product specifications, ISO 1."""
 TEMPERATURE = "temperature"
 LAGGED = "lagged temperature"
-UNSETTLED = "lagged temperature, unsettled at the start"
-THROUGH_A_LAG = (LAGGED, UNSETTLED)
 WARMING = "warming since the start"
 SLOW_WARMING = "warming since the start through two lags"
 SINCE_START = (WARMING, SLOW_WARMING)
@@ -34,14 +32,6 @@ LAG = -1.5
 which is an Occam factor of 5 that the profile over it does not pay. Of 109 machines of the study with a slow cause (tuning seeds) two
 more names are right with -1.5 and a prior for the choice of the column than without both, and fresh errors are 6 % less in the mean.
 """
-AWAY = -3.0
-"""The same of one that starts away from what the sensor says: one more coefficient, of any size, by each of the columns. Of 145
-machines of the study that all start settled (strong thermal causes, tuning seeds) two became worse on fresh rows by a half and more
-with -1.5, one with -3, none with -4.5; of twelve made by hand, nine of which start away by 1 to 3 K, the same are right with each, but
-with -4.5 runs left out are worse in one.
-"""
-SHORT_LAGS = 2
-"""Shortest lags of the grid from which none is searched that way: what is left of the start decays within a few rows."""
 UNMEASURED = -3.0
 """The same of a course of time where a temperature of the machine is logged, beside one through a lag: its time constant is free over
 a range of 180 to 1 and found to a tenth or so, a factor of 20.
@@ -88,9 +78,6 @@ def temperature_forms(
     The columns share the effect's prior: it follows one of them, and the more there are, the better the best of them fits by chance.
     The lag belongs to the first search: a smooth course of time would fit better than the temperature it stands for.
 
-    A body that lags the sensor may start warmer or colder than that says, as after a night: then what is left of the difference decays
-    with the lag. Without a form for it a course of time replaced the temperature, or the lag was wrong by a half.
-
     likely: columns that share half of the prior among themselves, as they are of the part that the effect is about
     """
     one_of = column_odds(survey, likely)
@@ -108,11 +95,7 @@ def temperature_forms(
     lag = NonLinear("lag", low, high)
     starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 6))
     forms.extend(
-        Form(effect, course, (name, survey.time_column, *extra_inputs), constants, (lag,), begin, log_odds=odds + prior)
-        for course, constants, begin, prior in (
-            (LAGGED, {}, starts, LAG),
-            (UNSETTLED, {"first_row": survey.time_start}, starts[SHORT_LAGS:], LAG + AWAY),
-        )
+        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), {}, (lag,), starts, log_odds=odds + LAG)
         for name, odds in one_of.items()
     )
     return tuple(forms)
@@ -224,7 +207,7 @@ def is_since_start(form: Form) -> bool:
 
 def follows_a_temperature(form: Form) -> bool:
     """Whether a form follows a sensor's temperature, through a lag or not."""
-    return _course(form) in (TEMPERATURE, *THROUGH_A_LAG)
+    return _course(form) in (TEMPERATURE, LAGGED)
 
 
 def is_about_a_point(form: Form) -> bool:
@@ -240,43 +223,7 @@ def _course(form: Form) -> str:
 
 def lag_of(form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
     """The column that a form reads through a lag, and its time constant, s; None for another form."""
-    return (form.inputs[0], theta[0]) if _course(form) in THROUGH_A_LAG and form.inputs[1] == "time_s" else None
-
-
-def starts_away(form: Form) -> bool:
-    """Whether a form by a temperature through a lag starts away from what the sensor says, on the rows that were fitted."""
-    return _course(form) == UNSETTLED
-
-
-def away_at_the_start(term: Term) -> dict[str, Estimate]:
-    """How far from what the sensor says a body was at the first row, K, as a parameter; none for a form that starts settled."""
-    return {"start_away_k": term.derived(lambda c, _: float(c[1] / c[0]))} if starts_away(term.form) else {}
-
-
-def lag_text(term: Term) -> str:
-    """The lag of a term in words, for an explanation; empty for a term without."""
-    if not term.theta:
-        return ""
-    away = "".join(f", {one} K away from it at the start" for one in away_at_the_start(term).values())
-    return f" seen through a lag of {term.positive_text(0, time_unit(term))}{away}"
-
-
-def settled_at_the_start(term: Term) -> Term:
-    """A term for other rows than those that were fitted: what was left of their start is theirs."""
-    if not starts_away(term.form):
-        return term
-    k = len(term.coefficients)
-    kept = [*range(0, k, 2), *range(k, k + len(term.theta))]  # each column of the rise has one of the start beside it
-    covariance = np.array(term.covariance)[np.ix_(kept, kept)]
-    constants = {name: value for name, value in term.form.constants.items() if name != "first_row"}
-    form = replace(term.form, name=term.form.name.replace(UNSETTLED, LAGGED), constants=constants)
-    return replace(
-        term,
-        form=form,
-        coefficients=term.coefficients[::2],
-        covariance=tuple(tuple(row) for row in covariance.tolist()),
-        likely=(),
-    )
+    return (form.inputs[0], theta[0]) if _course(form) == LAGGED and form.inputs[1] == "time_s" else None
 
 
 def is_unlike_along(form: Form) -> bool:
@@ -287,8 +234,8 @@ def is_unlike_along(form: Form) -> bool:
 def as_far_as_seen(term: Term, columns: Columns, rows: Rows = ALL_ROWS) -> Term:
     """A term by a temperature, the rise of which counts no further than on some rows of these columns, or than it did."""
     free = _unbounded(term.form)
-    risen = rise(free, term.theta, columns)[rows, 0]
-    least, most = (term.form.constants.get(name, float(risen[0])) for name in SEEN)
+    risen = rise(free, term.theta, columns)[rows]
+    least, most = (term.form.constants.get(name, float(risen[0, 0])) for name in SEEN)
     bounds = min(least, float(np.min(risen))), max(most, float(np.max(risen)))
     return replace(term, form=replace(free, constants={**free.constants, **dict(zip(SEEN, bounds, strict=True))}))
 
@@ -311,8 +258,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     """The temperature rise of a form, shape (n, 1): K above 20 °C, no further than its constants `SEEN` where it has them; or
     the fraction of the final rise (0 … 1). Raises KeyError for another form.
 
-    SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass; UNSETTLED one for what is left of the
-    difference at the start, as a share of it.
+    SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
     name = _course(form)
     if name in SINCE_START:
@@ -320,7 +266,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         settled = 1.0 - np.exp(-x)
         return settled[:, None] if name == WARMING else np.column_stack([settled, x * np.exp(-x)])
     values = columns[form.inputs[0]] - REFERENCE_C
-    if name in THROUGH_A_LAG:
+    if name == LAGGED:
         now = columns.get(through(form.inputs[0], theta[0]))
         values = lagged(columns[form.inputs[1]], values, theta[0]) if now is None else now - REFERENCE_C
     elif name != TEMPERATURE:
@@ -328,7 +274,4 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     if SEEN[0] in form.constants:
         least, most = (form.constants[name] for name in SEEN)
         values = np.clip(values, least, most)
-    if name != UNSETTLED:
-        return np.asarray(values)[:, None]
-    passed = np.maximum(columns[form.inputs[1]] - form.constants["first_row"], 0.0)
-    return np.column_stack([values, np.exp(-passed / theta[0])])
+    return np.asarray(values)[:, None]

@@ -30,7 +30,6 @@ UNITS = {
     "_ms": "ms",
     "_um": "µm",
     "_s": "s",
-    "_k": "K",
     "phase": "rad",
 }
 """Unit by the end of a parameter's name, longer ends first."""

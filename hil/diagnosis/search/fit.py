@@ -16,7 +16,6 @@ from hil.diagnosis.table import SplineShape, StaticPart
 from hil.effects import Action, Effect, Form, Term
 from hil.effects.base import slopes_of
 from hil.effects.model import Model, PitchTable
-from hil.effects.warming import settled_at_the_start
 from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
@@ -182,14 +181,6 @@ class JointFit:
             return replace(model, terms=tuple(new.get(id(term), term) for term in model.terms))
 
         return replace(self, whole=of(self.whole), extended=of(self.extended), bare=of(self.bare), found=tuple(terms))
-
-    def for_other_rows(self) -> JointFit:
-        """The same fit, whose models of the machine leave out what was left of the start of these rows."""
-
-        def of(model: Model) -> Model:
-            return replace(model, terms=tuple(map(settled_at_the_start, model.terms)))
-
-        return replace(self, extended=of(self.extended), bare=of(self.bare))
 
     def with_covariances(self, covariances: Sequence[Floats]) -> JointFit:
         """The same fit with other covariances of the terms of the choices, (k + t, k + t) each."""

@@ -20,7 +20,6 @@ from hil.effects.warming import (
     ALL_ROWS,
     Rows,
     as_far_as_seen,
-    away_at_the_start,
     follows_a_temperature,
     is_about_a_point,
     is_since_start,
@@ -101,15 +100,6 @@ def course_note(effect: str, column: str, log_odds: float) -> str:
     return (
         f"{effect} follows {column}, and a course of the time since the start fits these rows as well (log odds {log_odds:.1f}): the"
         f" correction follows the temperature, which was measured{bound}; another warm-up tells the two apart"
-    )
-
-
-def start_note(term: Term) -> str:
-    """What is said of a term that starts away from what its sensor says."""
-    away = " and ".join(str(one) for one in away_at_the_start(term).values())
-    return (
-        f"{term.effect.id} began {away} K away from what {term.needs[0]} said, which decays with its lag: the extended model starts"
-        " settled, as other rows begin elsewhere; let the machine settle for three lags before rows that a correction is judged by"
     )
 
 

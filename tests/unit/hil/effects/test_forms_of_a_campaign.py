@@ -119,8 +119,7 @@ def test_what_is_offered_and_what_only_refines() -> None:
     assert names("local_wear", with_only("target_mm")) == shapes
     assert names("pitch_shape") == [(n, True) for n in ("lead error", "bow", "shape", "fine shape")]
     warm = [("warming since the start", True), ("warming since the start through two lags", False)]
-    away = "lagged temperature, unsettled at the start"
-    temperatures = [("temperature", True)] * 2 + warm + [("lagged temperature", True)] * 2 + [(away, True)] * 2
+    temperatures = [("temperature", True)] * 2 + warm + [("lagged temperature", True)] * 2
     about_a_point = [(f"{name}, about a fixed point", scan) for name, scan in temperatures]
     from_sensors = ["temperature"] * 2 + ["lagged temperature"] * 2
     unlike = [(f"{name}, unlike along the travel, about a fixed point", False) for name in from_sensors]
@@ -128,7 +127,7 @@ def test_what_is_offered_and_what_only_refines() -> None:
     assert names("thermal_drift") == [*temperatures, ("warming since the start, unlike along the travel", True)]
     assert names("thermal_drift", with_only("time_s")) == warm
     assert names("thermal_drift", campaign(rows=3)) == [("temperature", True)] * 2
-    assert len(names("thermal_drift", campaign(rows=4))) == 9
+    assert len(names("thermal_drift", campaign(rows=4))) == 7
     assert names("thermal_drift", with_only("temp_screw_c", "target_mm")) == [("temperature", True)]
     assert names("beam_drift") == [("random walk", True), ("flicker", True)]
     assert names("datum_step") == [("step", True)]
@@ -273,9 +272,6 @@ def test_time_constants_from_a_few_rows_to_three_campaigns() -> None:
     starts = [value for (value,) in lag.starts]
     assert len(starts) == 6
     assert (starts[0], starts[-1]) == pytest.approx((60.0, 1800.0))
-    away = forms("thermal_expansion")["lagged temperature, unsettled at the start", "temp_screw_c"]
-    assert away.starts == lag.starts[2:], "what is left of the start decays within a few rows"
-    assert away.log_odds == pytest.approx(-4.5 + math.log(0.5))
     dense = forms("thermal_drift", campaign(interval_s=1.0))  # 3600 / 60 = 60 s, and 3600 / 300 = 12 s for a lag
     assert dense["warming since the start", "time_s"].starts[0] == pytest.approx((60.0,))
     assert dense["lagged temperature", "temp_head_c"].starts[0] == pytest.approx((12.0,))
@@ -376,10 +372,7 @@ def test_what_an_effect_is_called_in_the_model_file_and_what_follows_from_it() -
     assert {e.id: e.least_over_noise for e in ALL if e.least_over_noise} == {"beam_drift": 0.7}
 
 
-STRAIGHT = {
-    *("temperature", "lagged temperature", "lagged temperature, unsettled at the start"),
-    *("warming since the start", "warming since the start through two lags"),
-}
+STRAIGHT = {"temperature", "lagged temperature", "warming since the start", "warming since the start through two lags"}
 STRAIGHT_FORMS = {
     "abbe": {"tilt", "arm changing along the travel"},
     "air_index": {"air index"},
