@@ -51,7 +51,7 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     -s work.
     """
     whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS", "2")) if whole else 0
+    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or 2) if whole else 0
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects

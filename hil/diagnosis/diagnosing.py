@@ -30,7 +30,15 @@ from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
 from hil.diagnosis.search.select import drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
 from hil.diagnosis.stored import can_be_held_out
-from hil.diagnosis.verdict.courses import bounded_note, course_note, courses_as_good, steadier, within_what_was_seen
+from hil.diagnosis.verdict.courses import (
+    BY_TEMPERATURE,
+    bounded_note,
+    course_note,
+    courses_as_good,
+    start_as_good,
+    steadier,
+    within_what_was_seen,
+)
 from hil.diagnosis.verdict.held_out import (
     ONCE,
     HeldOut,
@@ -120,16 +128,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     apart = can_be_held_out(left_out.how)
     unpredicted = apart and not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
     unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts, alike)
-    doubted = required | beaten_by_runs(chosen) | (set(courses) & {f.effect for f in findings})
-    doubted |= {
-        f.effect
-        for f in findings
-        if unpredicted
-        or is_unsure(f, findings, campaign)
-        or f.is_implausible
-        or _is_mostly_in_table(f, chosen, campaign)
-        or (left_out.is_worse and f.term.effect.static)
-    }
+    start = start_as_good(chosen.last.searcher, noise, chosen.kept)
+    doubted = required | _doubted(
+        findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=start is not None
+    )
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
     findings = with_rivals(findings, doubted, unrecorded(effects, campaign.survey, recorded), recorded, carriers)
@@ -167,6 +169,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *said_of_it,
+            *([] if start is None else [start.note]),
             *sharper,
             *beyond_noise(
                 floor,
@@ -181,6 +184,34 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
     told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(left))
     return replace(told, seconds=time.perf_counter() - started)
+
+
+def _doubted(
+    findings: Sequence[Finding],
+    chosen: Chosen,
+    courses: Collection[str],
+    left_out: HeldOut,
+    *,
+    unpredicted: bool,
+    has_start: bool,
+) -> set[str]:
+    """The effects whose names may be those of causes that nobody recorded.
+
+    courses: effects by a temperature that a course of time replaces; unpredicted: runs left out vary by more than noise explains;
+    has_start: what was found of temperatures is less than a body that starts away from what its sensor says
+    """
+    campaign = chosen.last.searcher.linear.campaign
+    return beaten_by_runs(chosen) | {
+        f.effect
+        for f in findings
+        if unpredicted
+        or f.effect in courses
+        or (has_start and f.effect in BY_TEMPERATURE)
+        or is_unsure(f, findings, campaign)
+        or f.is_implausible
+        or _is_mostly_in_table(f, chosen, campaign)
+        or (left_out.is_worse and f.term.effect.static)
+    }
 
 
 def _beside_the_choice(

@@ -22,6 +22,7 @@ from hil.diagnosis.next.planned_run import Means, PlannedRun
 from hil.diagnosis.policy import policy
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
 from hil.diagnosis.verdict.hypotheses import weigh
+from hil.diagnosis.verdict.rivals import to_record
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
 from hil.effects.user_effects import check_on
@@ -184,6 +185,7 @@ def _with_rivals(finding: Finding, look: Outlook) -> Finding:
     separate them.
     """
     weights = {cause.id: cause.weight for cause in look.rivals}
+    unseen = {cause.id: to_record((cause.unseen.column,)) for cause in look.rivals if cause.unseen is not None}
     if finding.effect not in weights:
         return finding
     known = {rival.effect: rival for rival in finding.rivals}
@@ -192,7 +194,7 @@ def _with_rivals(finding: Finding, look: Outlook) -> Finding:
         if name == finding.effect:
             continue
         best = look.best_for(finding.effect, name)
-        said = known[name].separate_by if name in known else _catalogue_says(finding, name)
+        said = known[name].separate_by if name in known else _catalogue_says(finding, name) or unseen.get(name, "")
         rivals.append(RivalFound(name, weight, best.run.describe() if best is not None else said or ALONE_MIN))
     rivals += [rival for name, rival in known.items() if name not in weights]
     return replace(finding, confidence=min(finding.confidence, weights[finding.effect]), rivals=tuple(rivals))

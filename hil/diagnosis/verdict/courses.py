@@ -7,23 +7,32 @@ the correction goes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from hil.diagnosis.noise.evidence import Noise
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.noise.evidence import Extra, Noise, Projection
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import Choice, JointFit, grid_choices
 from hil.diagnosis.search.rank import refine, score_choices
 from hil.diagnosis.search.searcher import Searcher
-from hil.effects import Columns, Effect, Term
+from hil.effects import Columns, Effect, Estimate, Term
 from hil.effects.warming import (
     ALL_ROWS,
     Rows,
     as_far_as_seen,
     follows_a_temperature,
+    from_a_start,
     is_about_a_point,
     is_since_start,
+    time_unit,
 )
+
+BY_TEMPERATURE = {"thermal_expansion": "ppm/K", "thermal_drift": "µm/K"}
+"""Effects that follow a temperature of the machine, and the unit of their first coefficient."""
+MOST_AWAY_K = 10.0
+"""A hall that was not heated over night is as much colder; what needs more is something else that warms up."""
 
 
 def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> dict[str, float]:
@@ -48,7 +57,7 @@ def courses_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice])
             continue
         projection = searcher.projection(noise, searcher.extra([c for c in choices if c.effect is not effect]))
         gains, _ = score_choices(projection, [*mine[:1], *courses])
-        together = projection.gain(np.hstack([c.columns(campaign) for c in mine])) if len(mine) > 1 else float(gains[0])
+        together = _gain_of(mine, projection, campaign) if len(mine) > 1 else float(gains[0])
         behind = together - sum(c.form.log_odds for c in mine) - float(np.max(gains[1:] - courses[0].form.log_odds))
         if behind < policy().very_strong:
             found[effect.id] = behind
@@ -92,6 +101,74 @@ def _as_it_comes_um(fit: JointFit, effect: Effect, columns: Columns, read: Colum
     """Standard deviation, µm, of what the noise of thermometers adds to a correction for an effect."""
     mine = [term for term in fit.found if term.effect is effect]
     return float(np.std(np.sum([term.error_um(read) - term.error_um(columns) for term in mine], axis=0)))
+
+
+def _gain_of(choices: Sequence[Choice], projection: Projection, campaign: CampaignRows) -> float:
+    """Gain of some choices together, with the log prior odds of their forms and parameters."""
+    known = sum(choice.log_prior for choice in choices)
+    return projection.gain(np.hstack([choice.columns(campaign) for choice in choices])) + known
+
+
+@dataclass(frozen=True)
+class Start:
+    """A body that starts away from what its sensor says, which explains these rows as well as what was found of temperatures.
+
+    growth: per K, in the unit of its effect; away_k: at the first row, K; lag: s or rows; log_odds: against what was found
+    """
+
+    effect: str
+    column: str
+    growth: Estimate
+    unit: str
+    lag: Estimate
+    time_unit: str
+    away_k: float
+    log_odds: float
+
+    @property
+    def note(self) -> str:
+        """What is said of it."""
+        return (
+            f"{self.effect} by {self.column} through a lag of {self.lag} {self.time_unit}, {self.growth} {self.unit}, from a start"
+            f" {self.away_k:.2g} K away from what that said, fits these rows as well as what was found (log odds"
+            f" {self.log_odds:.1f}): where the machine had not settled when they began, let it settle and measure again"
+        )
+
+
+def start_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> Start | None:
+    """A body that starts away from what its sensor says, where that alone fits these rows as well as everything that was found of
+    temperatures and of the time since the start together.
+    """
+    campaign = searcher.linear.campaign
+    survey = campaign.survey
+    mine = [choice for choice in choices if choice.effect.id in BY_TEMPERATURE]
+    if not mine:
+        return None
+    others = [choice for choice in choices if choice not in mine]
+    trials = [
+        choice
+        for effect in dict.fromkeys(choice.effect for choice in mine)
+        for form in from_a_start(effect.forms(survey), survey)
+        for choice in grid_choices(effect, form)
+    ]
+    if not trials:
+        return None
+    bare = Searcher(searcher.setting, searcher.candidates, searcher.out, searcher.effort)
+    bare.restore(searcher.y, Extra.none(len(campaign)))  # what is left unexplained may be what is left of the start
+    projection = bare.projection(noise, bare.extra(others))
+    gains, _ = score_choices(projection, trials)
+    best = refine(projection, [trials[int(np.argmax(gains))]])[0][0]
+    ahead = bare.profiled_evidence([*others, best], noise)[0] - searcher.profiled_evidence(choices, noise)[0]
+    term = bare.fit([*others, best], noise).found[-1]
+    growth, away_k = term.coefficient(0), term.coefficients[1] / term.coefficients[0]
+    is_known = abs(growth.value) > 2.0 * growth.std and abs(away_k) <= MOST_AWAY_K and not term.effect.implausible(term)
+    if ahead < 0.0 or not is_known:
+        return None
+    unit = BY_TEMPERATURE[term.effect.id]
+    return Start(
+        *(term.effect.id, term.needs[0], growth, unit, term.nonlinear(0), time_unit(term)),
+        *(away_k, ahead),
+    )
 
 
 def course_note(effect: str, column: str, log_odds: float) -> str:

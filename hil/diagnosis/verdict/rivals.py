@@ -34,6 +34,7 @@ FORCES = frozenset({"load_kg", "torque_percent"})
 ANGLES = ("pitch_urad", "yaw_urad")
 SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
 """Effects that are an offset in the course of time."""
+VARY_APART = "a campaign in which the columns the two read vary apart"
 NOTHING: Mapping[str, Sequence[str]] = MappingProxyType({})
 WAY = ("since_reversal_mm", "stroke_mm")
 """Columns of the way to the target."""
@@ -73,12 +74,13 @@ def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
 
 def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
     """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
-    for known in effect.rivals:
-        if known.effect == rival:
-            return known.separate_by
-    if absent:
-        return f"record in every row: {'; '.join(absent)}"
-    return "a campaign in which the columns the two read vary apart"
+    said = next((known.separate_by for known in effect.rivals if known.effect == rival), "")
+    return said or (to_record(absent) if absent else VARY_APART)
+
+
+def to_record(columns: Sequence[str]) -> str:
+    """What to do about columns that nobody recorded, one of which would tell."""
+    return f"record {'one of these ' if len(columns) > 1 else ''}in every row: {'; '.join(columns)}"
 
 
 def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
@@ -258,7 +260,7 @@ def _weighed(
     finding: Finding, share: float, rivals: Mapping[str, float], unseen: Mapping[str, Sequence[str]] = NOTHING
 ) -> Finding:
     """The finding with this share of its confidence, beside rivals of these weights."""
-    said = {rival.effect: rival.separate_by for rival in finding.rivals}
+    said = {rival.effect: rival.separate_by for rival in finding.rivals if rival.separate_by != VARY_APART}
     said |= {name: separating(finding.term.effect, name, unseen.get(name, ())) for name in rivals if name not in said}
     apart = (RivalFound(name, weight, said[name]) for name, weight in rivals.items())
     ordered = tuple(sorted(apart, key=lambda rival: -rival.confidence))

@@ -871,7 +871,7 @@ def test_a_jump_may_be_a_load_that_was_put_on_or_another_axis_that_moved_where_t
     (told,) = with_rivals([jump], (), unrecorded(ALL, bare, WAY_ONLY), WAY_ONLY, ())
     assert told.confidence < 0.7
     separate_by = {rival.effect: rival.separate_by for rival in told.rivals}
-    assert separate_by["load_deflection"] == "record in every row: load_kg; torque_percent"
+    assert separate_by["load_deflection"] == "record one of these in every row: load_kg; torque_percent"
     assert separate_by["cross_axis"] == "record in every row: pos_y_mm"
     left = beside_what_is_left(told, 0.5)
     assert {rival.effect: rival.separate_by for rival in left.rivals}.items() >= separate_by.items()

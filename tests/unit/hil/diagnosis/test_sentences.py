@@ -184,9 +184,10 @@ def test_what_separates_rivals_and_the_next_measurement_are_said_in_every_langua
 
 def test_what_to_record_is_said_in_every_language() -> None:
     text = separating(ALL[0], "some other", SENSORS)
-    assert Texts("en").said(text).startswith("record in every row: load; torque; pitch")
-    assert Texts("de").said(text).startswith("in jeder Zeile aufzeichnen: Last; Drehmoment; ")
+    assert Texts("en").said(text).startswith("record one of these in every row: load; torque; pitch")
+    assert Texts("de").said(text).startswith("eines davon in jeder Zeile aufzeichnen: Last; Drehmoment; ")
     assert set(LATIN.findall(Texts("zh").said(text))) <= OURS
+    assert Texts("de").said(separating(ALL[0], "some other", SENSORS[:1])) == "in jeder Zeile aufzeichnen: Last"
 
 
 def test_parts_of_what_is_said_are_said_too() -> None:
