@@ -129,9 +129,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     unpredicted = apart and not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
     unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts, alike)
     start = start_as_good(chosen.last.searcher, noise, chosen.kept)
-    doubted = required | _doubted(
-        findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=start is not None
-    )
+    doubted = required | _doubted(findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=bool(start))
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
     findings = with_rivals(findings, doubted, unrecorded(effects, campaign.survey, recorded), recorded, carriers)
@@ -169,7 +167,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
             *map(suspected_note, below_noise.values()),
             *(_misfit_note(one) for one in misfits),
             *said_of_it,
-            *([] if start is None else [start.note]),
+            *([start] if start else []),
             *sharper,
             *beyond_noise(
                 floor,

@@ -7,17 +7,16 @@ the correction goes.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.noise.evidence import Extra, Noise, Projection
+from hil.diagnosis.noise.evidence import Noise, Projection
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import Choice, JointFit, grid_choices
 from hil.diagnosis.search.rank import refine, score_choices
 from hil.diagnosis.search.searcher import Searcher
-from hil.effects import Columns, Effect, Estimate, Term
+from hil.effects import Columns, Effect, Term
 from hil.effects.warming import (
     ALL_ROWS,
     Rows,
@@ -109,41 +108,15 @@ def _gain_of(choices: Sequence[Choice], projection: Projection, campaign: Campai
     return projection.gain(np.hstack([choice.columns(campaign) for choice in choices])) + known
 
 
-@dataclass(frozen=True)
-class Start:
-    """A body that starts away from what its sensor says, which explains these rows as well as what was found of temperatures.
-
-    growth: per K, in the unit of its effect; away_k: at the first row, K; lag: s or rows; log_odds: against what was found
-    """
-
-    effect: str
-    column: str
-    growth: Estimate
-    unit: str
-    lag: Estimate
-    time_unit: str
-    away_k: float
-    log_odds: float
-
-    @property
-    def note(self) -> str:
-        """What is said of it."""
-        return (
-            f"{self.effect} by {self.column} through a lag of {self.lag} {self.time_unit}, {self.growth} {self.unit}, from a start"
-            f" {self.away_k:.2g} K away from what that said, fits these rows as well as what was found (log odds"
-            f" {self.log_odds:.1f}): where the machine had not settled when they began, let it settle and measure again"
-        )
-
-
-def start_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> Start | None:
-    """A body that starts away from what its sensor says, where that alone fits these rows as well as everything that was found of
-    temperatures and of the time since the start together.
+def start_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> str:
+    """What is said of a body that starts away from what its sensor says, where that alone fits these rows as well as everything that was
+    found of temperatures and of the time since the start together; else empty.
     """
     campaign = searcher.linear.campaign
     survey = campaign.survey
     mine = [choice for choice in choices if choice.effect.id in BY_TEMPERATURE]
     if not mine:
-        return None
+        return ""
     others = [choice for choice in choices if choice not in mine]
     trials = [
         choice
@@ -152,22 +125,20 @@ def start_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -
         for choice in grid_choices(effect, form)
     ]
     if not trials:
-        return None
-    bare = Searcher(searcher.setting, searcher.candidates, searcher.out, searcher.effort)
-    bare.restore(searcher.y, Extra.none(len(campaign)))  # what is left unexplained may be what is left of the start
-    projection = bare.projection(noise, bare.extra(others))
+        return ""
+    projection = searcher.projection(noise, searcher.extra(others))
     gains, _ = score_choices(projection, trials)
     best = refine(projection, [trials[int(np.argmax(gains))]])[0][0]
-    ahead = bare.profiled_evidence([*others, best], noise)[0] - searcher.profiled_evidence(choices, noise)[0]
-    term = bare.fit([*others, best], noise).found[-1]
+    ahead = searcher.profiled_evidence([*others, best], noise)[0] - searcher.profiled_evidence(choices, noise)[0]
+    term = searcher.fit([*others, best], noise).found[-1]
     growth, away_k = term.coefficient(0), term.coefficients[1] / term.coefficients[0]
     is_known = abs(growth.value) > 2.0 * growth.std and abs(away_k) <= MOST_AWAY_K and not term.effect.implausible(term)
     if ahead < 0.0 or not is_known:
-        return None
-    unit = BY_TEMPERATURE[term.effect.id]
-    return Start(
-        *(term.effect.id, term.needs[0], growth, unit, term.nonlinear(0), time_unit(term)),
-        *(away_k, ahead),
+        return ""
+    return (
+        f"{term.effect.id} by {term.needs[0]} through a lag of {term.nonlinear(0)} {time_unit(term)}, {growth}"
+        f" {BY_TEMPERATURE[term.effect.id]}, from a start {away_k:.2g} K away from what that said, fits these rows as well as what was"
+        f" found (log odds {ahead:.1f}): where the machine had not settled when they began, let it settle and measure again"
     )
 
 
