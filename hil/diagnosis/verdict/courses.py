@@ -109,8 +109,8 @@ def _gain_of(choices: Sequence[Choice], projection: Projection, campaign: Campai
 
 
 def start_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -> str:
-    """What is said of a body that starts away from what its sensor says, where that alone fits these rows as well as everything that was
-    found of temperatures and of the time since the start together; else empty.
+    """What is said of a body that starts away from what its sensor says, where that alone fits these rows as well as all that was
+    found of temperatures and of the time since the start; else empty.
     """
     campaign = searcher.linear.campaign
     survey = campaign.survey
