@@ -33,18 +33,17 @@ def test_what_no_effect_explains_gets_no_confident_name(effect: str) -> None:
 
 @pytest.mark.slow
 def test_the_proof_figures_on_many_machines() -> None:
-    """A fortieth of the study (`python tests/study/own_catalogue.py --machines 520`), with room for one or two more by chance."""
-    outcomes: list[Outcome] = run_all(cases(12, seed=5), workers=2)
+    """Four machines of each kind of the study (`python tests/study/own_catalogue.py --machines 520`): one of four may be missed by
+    chance, and a wrong name is none. It is our own generator; the one that was written apart judges in test_grammar_study.py.
+    """
+    outcomes: list[Outcome] = run_all(cases(4, seed=5), workers=2)
     figures = summary(outcomes)
-    assert figures["strong: right first"] >= 0.91
-    assert figures["weak: right first"] >= 0.8
-    assert figures["weak: wrong first"] <= 0.09
+    for figure in ("strong: right first", "weak: right first", "pair: both", "appeared: right first", "outside: unexplained"):
+        assert figures[figure] >= 0.75, figure
+    for figure in ("strong: wrong first", "weak: wrong first", "outside: confident name"):
+        assert figures[figure] == 0.0, figure
     clean = [o for o in outcomes if o.case.kind == "clean"]
-    assert sum(bool(o.names) or o.unexplained for o in clean) <= 2
-    assert figures["outside: unexplained"] >= 0.8
-    assert figures["outside: confident name"] <= 0.09
-    assert figures["pair: both"] >= 0.76
-    assert figures["appeared: right first"] >= 0.87
+    assert sum(bool(o.names) or o.unexplained for o in clean) <= 1
     assert figures["fresh RMS over noise: median"] <= 1.1
     assert figures["fresh RMS over noise: 90 %"] <= 1.3
     assert figures["true parameter inside its 95 % interval"] >= 0.8
