@@ -47,11 +47,8 @@ def pytest_configure() -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two processes for the whole suite, or what the variable of pytest-xdist says; named files stay in this one, where a debugger and
-    -s work.
-    """
-    whole = config.args_source is pytest.Config.ArgsSource.TESTPATHS
-    return int(os.environ.get("PYTEST_XDIST_AUTO_NUM_WORKERS") or 2) if whole else 0
+    """Two processes for the whole suite; named files stay in this one, where a debugger and -s work."""
+    return 2 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
