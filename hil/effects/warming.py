@@ -34,7 +34,9 @@ which is an Occam factor of 5 that the profile over it does not pay. Of 109 mach
 more names are right with -1.5 and a prior for the choice of the column than without both, and fresh errors are 6 % less in the mean.
 """
 AWAY = -3.0
-"""The same of a body that starts away from what its sensor says: one more coefficient, of any size."""
+"""The same of a body that starts away from what its sensor says: one more coefficient, of any size. Of nine machines made by hand that
+start 1 to 3 K away it is said of eight with -1.5 and -3, of two with -6; of the three that had settled of none with each.
+"""
 SHORT_LAGS = 2
 """Shortest lags of the grid from which none is tried that way: what is left of the start decays within a few rows."""
 UNMEASURED = -3.0
