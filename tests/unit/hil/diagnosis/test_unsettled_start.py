@@ -6,16 +6,24 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from hil.diagnosis.campaign import prepare
 from hil.diagnosis.diagnosing import diagnose
+from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.result import Diagnosis
+from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.fit import Choice, Setting
+from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.verdict.courses import courses_as_good
 from hil.effects import ALL
 from hil.effects.history import complete
 from hil.effects.survey import survey_of
+from hil.effects.thermal_expansion import ThermalExpansion
 from hil.effects.warming import from_a_start
 from hil.records.rows import Records
 
@@ -126,3 +134,18 @@ def test_the_form_is_what_the_solver_makes(effect: str) -> None:
     weight = records.target_mm / 1e3 if effect == "thermal_expansion" else np.ones(len(records))
     assert basis @ [1.0, -3.0] == pytest.approx(weight * (body_c(wave, -3.0) - 20.0), abs=2e-3)
     assert form.starts == next(one for one in known.forms(survey) if one.name == "lagged temperature").starts[2:]
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_course_of_time_is_held_against_what_rows_say_of_the_forms_and_not_against_their_prior(count: int) -> None:
+    once = campaign(steps, 0.0).columns
+    records = Records.of({**once, "temp_screw_c": 20.0 + 3.0 * (1.0 - np.exp(-TIME_S / LAG_S))})
+    rows = prepare(records)
+    effect = ThermalExpansion()
+    searcher = Searcher(Setting.free(rows), enumerate_candidates(rows, (effect,)))
+    forms = {form.name: form for form in effect.forms(rows.survey)}
+    found = [Choice(effect, forms["temperature"], ()), Choice(effect, forms["lagged temperature"], (LAG_S,))][:count]
+    unlikely = [replace(one, form=replace(one.form, log_odds=one.form.log_odds - 10.0)) for one in found]
+    known, shifted = (courses_as_good(searcher, Noise(), some) for some in (found, unlikely))
+    assert known
+    assert shifted == pytest.approx(known)
