@@ -132,7 +132,14 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     doubted = required | _doubted(findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=bool(start))
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
     recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
-    findings = with_rivals(findings, doubted, unrecorded(effects, campaign.survey, recorded), recorded, carriers)
+    findings = with_rivals(
+        findings,
+        doubted,
+        unrecorded(effects, campaign.survey, recorded),
+        recorded,
+        carriers,
+        columns=campaign.columns,
+    )
     if apart and not unexplained and _predicts_nothing(findings, left_out, explained_um):
         unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
     worse = _corrects_worse(findings, left_out) if declared is None else set()

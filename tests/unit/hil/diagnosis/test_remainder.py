@@ -853,6 +853,46 @@ def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_th
     assert not_told_apart([steel], without_air) == {}
 
 
+@pytest.mark.parametrize(("rise_k", "small"), [(0.4, True), (0.6, False)])
+def test_an_expansion_of_no_more_than_air_does_in_a_day_may_be_the_airs(rise_k: float, small: bool) -> None:
+    """11.5 ppm/K: 4.6 and 6.9 ppm, where 3 K and 10 hPa of air make 5.5 (Edlén: 0.93 ppm/K and 0.27 ppm/hPa)."""
+    growing = finding_of("thermal_expansion", "temp_bed_c")
+    form = Form("thermal_expansion", "temperature", ("temp_bed_c", "target_mm"))
+    steel = replace(growing, term=replace(growing.term, form=form, coefficients=(11.5,)))
+    rows = {
+        "target_mm": np.array([0.0, 500.0, 0.0, 500.0]),
+        "temp_bed_c": 21.0 + rise_k * np.array([0.0, 0.0, 1.0, 1.0]),
+    }
+    known = ("temp_bed_c", "load_kg")
+    assert not_told_apart([steel], known, rows) == ({"thermal_expansion": ("air_index",)} if small else {})
+    assert not_told_apart([steel], (*known, "air_temp_c"), rows) == {}
+
+
+def test_a_course_of_time_may_be_the_airs_where_no_temperature_was_recorded() -> None:
+    settling, growing = finding_of("thermal_drift", "time_s"), finding_of("thermal_expansion", "time_s")
+    assert not_told_apart([settling, growing], ("time_s", "load_kg")) == {
+        "thermal_drift": ("dead_path",),
+        "thermal_expansion": ("air_index",),
+    }
+    assert not_told_apart([settling, growing], ("time_s", "temp_bed_c")) == {}
+
+
+@pytest.mark.parametrize(("centre_mm", "at_an_end"), [(10.0, True), (250.0, False), (495.0, True)])
+def test_wear_at_an_end_may_be_lost_motion_where_the_way_since_the_reversal_was_not_recorded(
+    centre_mm: float, at_an_end: bool
+) -> None:
+    found = finding_of("local_wear", "target_mm")
+    both_ways = Form("local_wear", "bump with direction", ("target_mm", "direction"))
+    term = replace(found.term, form=both_ways, theta=(centre_mm, 30.0), coefficients=(1.0,))
+    place = np.linspace(0.0, 500.0, 51)
+    rows = {"target_mm": np.tile(place, 2), "direction": np.repeat([1.0, -1.0], 51)}
+    worn = replace(found, term=term)
+    assert not_told_apart([worn], ("time_s",), rows) == ({"local_wear": ("lost_motion",)} if at_an_end else {})
+    assert not_told_apart([worn], ("time_s", "since_reversal_mm"), rows) == {}
+    alike = replace(worn, term=replace(term, form=Form("local_wear", "bump", ("target_mm",))))
+    assert not_told_apart([alike], ("time_s",), rows) == {}, "what is alike in both directions is no lost motion"
+
+
 WAY_ONLY = ("run", "direction", "target_mm", "time_s")
 
 
