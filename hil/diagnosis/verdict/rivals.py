@@ -211,13 +211,14 @@ def _is_worn_at_an_end(finding: Finding, columns: Columns | None) -> bool:
 
 
 def _growth_ppm(finding: Finding, columns: Columns) -> float:
-    """Change over the rows of what an effect adds along the travel, ppm of it."""
+    """Change over the rows of what an effect adds along the travel, ppm of it; infinite at one place."""
     ends_mm = [float(end(columns["target_mm"])) for end in (np.min, np.max)]
     there_um, here_um = (
         sum(term.error_um({**columns, "target_mm": np.full_like(columns["target_mm"], at)}) for term in finding.terms)
         for at in reversed(ends_mm)
     )
-    return float(np.ptp(there_um - here_um)) / (ends_mm[1] - ends_mm[0]) / UM_PER_MM_PPM
+    travel_mm = ends_mm[1] - ends_mm[0]
+    return float(np.ptp(there_um - here_um)) / travel_mm / UM_PER_MM_PPM if travel_mm > 0.0 else math.inf
 
 
 def with_rivals(
