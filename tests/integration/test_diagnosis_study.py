@@ -38,7 +38,13 @@ def test_the_proof_figures_on_many_machines() -> None:
     """
     outcomes: list[Outcome] = run_all(cases(4, seed=5), workers=2)
     figures = summary(outcomes)
-    for figure in ("strong: right first", "weak: right first", "pair: both", "appeared: right first", "outside: unexplained"):
+    for figure in (
+        "strong: right first",
+        "weak: right first",
+        "pair: both",
+        "appeared: right first",
+        "outside: unexplained",
+    ):
         assert figures[figure] >= 0.75, figure
     for figure in ("strong: wrong first", "weak: wrong first", "outside: confident name"):
         assert figures[figure] == 0.0, figure
