@@ -203,7 +203,7 @@ def _doubted(
     """The effects whose names may be those of causes that nobody recorded.
 
     courses: effects by a temperature that a course of time replaces; unpredicted: runs left out vary by more than noise explains;
-    has_start: what was found of temperatures is less than a body that starts away from what its sensor says
+    has_start: a body that starts away from what its sensor says fits as well as what was found of temperatures
     """
     campaign = chosen.last.searcher.linear.campaign
     return beaten_by_runs(chosen) | {

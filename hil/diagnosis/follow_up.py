@@ -22,7 +22,7 @@ from hil.diagnosis.next.planned_run import Means, PlannedRun
 from hil.diagnosis.policy import policy
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
 from hil.diagnosis.verdict.hypotheses import weigh
-from hil.diagnosis.verdict.rivals import to_record
+from hil.diagnosis.verdict.rivals import catalogue_says, to_record
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
 from hil.effects.user_effects import check_on
@@ -194,7 +194,11 @@ def _with_rivals(finding: Finding, look: Outlook) -> Finding:
         if name == finding.effect:
             continue
         best = look.best_for(finding.effect, name)
-        said = known[name].separate_by if name in known else _catalogue_says(finding, name) or unseen.get(name, "")
+        said = (
+            known[name].separate_by
+            if name in known
+            else catalogue_says(finding.term.effect, name) or unseen.get(name, "")
+        )
         rivals.append(RivalFound(name, weight, best.run.describe() if best is not None else said or ALONE_MIN))
     rivals += [rival for name, rival in known.items() if name not in weights]
     return replace(finding, confidence=min(finding.confidence, weights[finding.effect]), rivals=tuple(rivals))
@@ -206,10 +210,6 @@ def as_shares(finding: Finding) -> Finding:
     share = min(1.0, (1.0 - finding.confidence) / said) if said > 0.0 else 1.0
     rivals = (replace(rival, confidence=share * rival.confidence) for rival in finding.rivals)
     return replace(finding, rivals=tuple(rival for rival in rivals if rival.confidence >= NONE_SHOWN))
-
-
-def _catalogue_says(finding: Finding, rival: str) -> str:
-    return next((known.separate_by for known in finding.term.effect.rivals if known.effect == rival), "")
 
 
 def thinned(records: Records) -> Records:

@@ -130,10 +130,11 @@ def start_as_good(searcher: Searcher, noise: Noise, choices: Sequence[Choice]) -
     gains, _ = score_choices(projection, trials)
     best = refine(projection, [trials[int(np.argmax(gains))]])[0][0]
     ahead = searcher.profiled_evidence([*others, best], noise)[0] - searcher.profiled_evidence(choices, noise)[0]
+    if ahead < 0.0:
+        return ""
     term = searcher.fit([*others, best], noise).found[-1]
     growth, away_k = term.coefficient(0), term.coefficients[1] / term.coefficients[0]
-    is_known = abs(growth.value) > 2.0 * growth.std and abs(away_k) <= MOST_AWAY_K and not term.effect.implausible(term)
-    if ahead < 0.0 or not is_known:
+    if abs(growth.value) <= 2.0 * growth.std or abs(away_k) > MOST_AWAY_K or term.effect.implausible(term):
         return ""
     return (
         f"{term.effect.id} by {term.needs[0]} through a lag of {term.nonlinear(0)} {time_unit(term)}, {growth}"

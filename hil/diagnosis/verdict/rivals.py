@@ -77,8 +77,12 @@ def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
 
 def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
     """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
-    said = next((known.separate_by for known in effect.rivals if known.effect == rival), "")
-    return said or (to_record(absent) if absent else VARY_APART)
+    return catalogue_says(effect, rival) or (to_record(absent) if absent else VARY_APART)
+
+
+def catalogue_says(effect: Effect, rival: str) -> str:
+    """The measurement that the effect itself names against a rival; empty where it names none."""
+    return next((known.separate_by for known in effect.rivals if known.effect == rival), "")
 
 
 def to_record(columns: Sequence[str]) -> str:
@@ -157,11 +161,11 @@ def not_told_apart(
 
     columns: completed, of the rows, (n,) each; sizes and places do not count without
     """
-    found = {finding.effect: finding.term for finding in findings}
+    found = {finding.effect: finding for finding in findings}
     out: dict[str, tuple[str, ...]] = {}
     deflection = found.get("load_deflection")
     tilts = any(is_tilt(term) for finding in findings if finding.effect == "load_deflection" for term in finding.terms)
-    if deflection is not None and "torque_percent" in deflection.needs and "velocity_mm_s" not in recorded:
+    if deflection is not None and "torque_percent" in deflection.term.needs and "velocity_mm_s" not in recorded:
         out["load_deflection"] = ("velocity_lag",)
     elif "velocity_lag" in found and len(FORCES - set(recorded)) > (deflection is None):
         out["velocity_lag"] = ("load_deflection",)
@@ -174,7 +178,7 @@ def not_told_apart(
         out["datum_step"] = (*out.get("datum_step", ()), "load_deflection")
     if "datum_step" in found and not any(map(OTHER_AXIS.fullmatch, recorded)):
         out["datum_step"] = (*out.get("datum_step", ()), "cross_axis")
-    worn = next((finding for finding in findings if finding.effect == "local_wear"), None)
+    worn = found.get("local_wear")
     if worn is not None and "since_reversal_mm" not in recorded and _is_worn_at_an_end(worn, columns):
         out["local_wear"] = ("lost_motion",)
     by_air_or_machine = (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index"))
@@ -183,7 +187,7 @@ def not_told_apart(
         out |= {by_air: (*out.get(by_air, ()), name) for name, by_air in by_air_or_machine if by_air in found}
     if AIR_TEMPERATURE not in recorded or without_temperature:
         for name, by_air in by_air_or_machine:
-            finding = next((one for one in findings if one.effect == name), None)
+            finding = found.get(name)
             knows_none = without_temperature and AIR_TEMPERATURE not in recorded
             if finding is not None and _may_be_of_air(finding, columns, knows_none=knows_none):
                 out[name] = (*out.get(name, ()), by_air)
