@@ -55,10 +55,10 @@ from hil.diagnosis.verdict.rivals import (
     columns_as_good,
     is_unsure,
     separating,
-    unrecorded,
     weights_of,
     with_rivals,
 )
+from hil.diagnosis.verdict.unlogged import not_told_apart, unrecorded
 from hil.effects import ALL, Action, Effect, Estimate, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
@@ -131,17 +131,11 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     start = start_as_good(chosen.last.searcher, noise, chosen.kept)
     doubted = required | _doubted(findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=bool(start))
     carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
-    recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
-    findings = with_rivals(
-        findings,
-        doubted,
-        unrecorded(effects, campaign.survey, recorded),
-        recorded,
-        carriers,
-        columns=campaign.columns,
+    of_course, findings = _beside_rivals(
+        findings, doubted, carriers, effects=effects, records=records, campaign=campaign
     )
-    if apart and not unexplained and _predicts_nothing(findings, left_out, explained_um):
-        unexplained, carriers = True, tuple(_carried_without(chosen, findings, noise, campaign))
+    if apart and not unexplained and _predicts_nothing(of_course, left_out, explained_um):
+        unexplained, carriers = True, tuple(_carried_without(chosen, of_course, noise, campaign))
     worse = _corrects_worse(findings, left_out) if declared is None else set()
     if worse:  # the table alone predicts runs left out better; a declared one may be of these rows
         extended = within_what_was_seen(refitted_without(chosen, worse, noise).fit, courses, rows.columns)
@@ -217,6 +211,23 @@ def _doubted(
         or _is_mostly_in_table(f, chosen, campaign)
         or (left_out.is_worse and f.term.effect.static)
     }
+
+
+def _beside_rivals(
+    findings: Sequence[Finding],
+    doubted: Collection[str],
+    carriers: Sequence[Carrier],
+    *,
+    effects: Sequence[Effect],
+    records: Records,
+    campaign: CampaignRows,
+) -> tuple[tuple[Finding, ...], tuple[Finding, ...]]:
+    """The findings as sure as their courses, then as sure as their names: a course that two causes share is explained all the same."""
+    recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
+    unseen = unrecorded(effects, campaign.survey, recorded)
+    two = not_told_apart(findings, recorded, campaign.columns)
+    of_course, of_name = (with_rivals(findings, doubted, unseen, one, carriers) for one in ({}, two))
+    return of_course, of_name
 
 
 def _beside_the_choice(

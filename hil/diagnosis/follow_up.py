@@ -8,7 +8,7 @@ of the rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from hil.diagnosis.next.planned_run import Means, PlannedRun
 from hil.diagnosis.policy import policy
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
 from hil.diagnosis.verdict.hypotheses import weigh
-from hil.diagnosis.verdict.rivals import catalogue_says, to_record
+from hil.diagnosis.verdict.rivals import catalogue_says, to_show
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
 from hil.effects.user_effects import check_on
@@ -138,7 +138,7 @@ def follow_up(
         except InputError:  # too few rows to weigh anything
             findings.append(finding)
             continue
-        findings.append(_with_rivals(finding, look))
+        findings.append(_with_rivals(finding, look, rows.columns))
         if findings[-1].rivals and not look.decided:
             undecided.append(finding.effect)
         if asked is None and look.best is not None:
@@ -180,12 +180,12 @@ def _against(finding: Finding, records: Records, declared: Model | None) -> tupl
     return records.with_column("measured_mm", records["measured_mm"] - known_um / UM_PER_MM), None
 
 
-def _with_rivals(finding: Finding, look: Outlook) -> Finding:
-    """The finding with the weight of its effect and of every other remaining cause, and the measurement that would
-    separate them.
+def _with_rivals(finding: Finding, look: Outlook, recorded: Collection[str]) -> Finding:
+    """The finding with the weight of its effect and of every other remaining cause, and the measurement that would separate them. What
+    that leaves of 1 is of the rivals known before that weigh less now: the weighing does not see why they were.
     """
     weights = {cause.id: cause.weight for cause in look.rivals}
-    unseen = {cause.id: to_record((cause.unseen.column,)) for cause in look.rivals if cause.unseen is not None}
+    unseen = {cause.id: to_show(cause.unseen.column, recorded) for cause in look.rivals if cause.unseen is not None}
     if finding.effect not in weights:
         return finding
     known = {rival.effect: rival for rival in finding.rivals}
@@ -201,7 +201,14 @@ def _with_rivals(finding: Finding, look: Outlook) -> Finding:
         )
         rivals.append(RivalFound(name, weight, best.run.describe() if best is not None else said or ALONE_MIN))
     rivals += [rival for name, rival in known.items() if name not in weights]
-    return replace(finding, confidence=min(finding.confidence, weights[finding.effect]), rivals=tuple(rivals))
+    confidence = min(finding.confidence, weights[finding.effect])
+    lost = {
+        one.effect: max(known[one.effect].confidence - one.confidence, 0.0) for one in rivals if one.effect in known
+    }
+    rest = max(1.0 - confidence - sum(one.confidence for one in rivals), 0.0)
+    share = min(rest / whole, 1.0) if (whole := sum(lost.values())) > 0.0 else 0.0
+    rivals = [replace(one, confidence=one.confidence + share * lost.get(one.effect, 0.0)) for one in rivals]
+    return replace(finding, confidence=confidence, rivals=tuple(sorted(rivals, key=lambda one: -one.confidence)))
 
 
 def as_shares(finding: Finding) -> Finding:

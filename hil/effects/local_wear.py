@@ -53,6 +53,7 @@ class LocalWear(Effect):
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("pitch_shape", "a dense local pass over the zone"),
         Rival("cyclic", "a dense pass over the zone and two periods beside it"),
+        Rival("lost_motion", "approach the same targets after travels of other lengths"),
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
@@ -108,6 +109,8 @@ class LocalWear(Effect):
     def explain(self, term: Term) -> str:
         shape, name = split_name(term.form.name)
         sign = " of opposite sign in the two directions" if name == REVERSAL else ""
+        if name == BOTH:
+            sign = f", and with the direction by {term.coefficient(1)} µm"
         place, width = f"{term.nonlinear(0)} mm", term.positive_text(1, "mm")
         where = {
             FADING: f"From {place} upwards, fading over {width}",

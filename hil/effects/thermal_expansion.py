@@ -65,12 +65,10 @@ class ThermalExpansion(Effect):
     )
 
     def forms(self, survey: Survey) -> tuple[Form, ...]:
-        if survey.half_span_mm <= 0.0:
+        if not survey.has("target_mm"):
             return ()  # at one place it is a drift
         forms = temperature_forms(self.id, survey, extra_inputs=("target_mm",), likely=OF_WHAT_GROWS)
         travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
-        if not survey.has("target_mm"):
-            return forms
         free = [replace(f, constants={**f.constants, **travel}) for f in forms]
         about = (replace(f, name=f.name + ABOUT_A_POINT) for f in free)
         unlike = (

@@ -17,26 +17,11 @@ from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.diagnosis.search.choose import Chosen
 from hil.diagnosis.search.rank import by_column
 from hil.diagnosis.verdict.held_out import ONCE, few_of
-from hil.effects import Columns, Effect, Survey, Term
-from hil.effects.base import UM_PER_MM_PPM
-from hil.effects.load_deflection import is_tilt
-from hil.effects.survey import OTHER_AXIS
-from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE, is_temperature
+from hil.effects import Effect, Term
+from hil.effects.thermometers import TEMPERATURE, is_temperature
 
 Floats = NDArray[np.float64]
 
-SENSORS = (
-    *("load_kg", "torque_percent", "pitch_urad", "yaw_urad", "pos_y_mm"),
-    *("air_temp_c", "air_pressure_hpa", "air_humidity_percent", "temp_screw_c"),
-)
-"""Columns that a cause may follow; through one that was not recorded it can only be a rival."""
-
-FORCES = frozenset({"load_kg", "torque_percent"})
-ANGLES = ("pitch_urad", "yaw_urad")
-SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
-"""Effects that are an offset in the course of time."""
-MOST_OF_AIR_PPM = 6.0
-"""Change of the air's refractive index, ppm of the length, by 3 K and 10 hPa: 0.93 per K and 0.27 per hPa (Edlén, at 20 °C)."""
 VARY_APART = "a campaign in which the columns the two read vary apart"
 NOTHING: Mapping[str, Sequence[str]] = MappingProxyType({})
 WAY = ("since_reversal_mm", "stroke_mm")
@@ -90,6 +75,11 @@ def to_record(columns: Sequence[str]) -> str:
     return f"record {'one of these ' if len(columns) > 1 else ''}in every row: {'; '.join(columns)}"
 
 
+def to_show(column: str, recorded: Collection[str]) -> str:
+    """What to do for one column that nobody changed, or recorded."""
+    return f"measure where it differs: {column}" if column in recorded else to_record((column,))
+
+
 def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:
     """Whether a course of the rows (n,) is a jump from one run to the next: everything that was set there may have caused it."""
     jumps = np.flatnonzero(np.diff(course_um))
@@ -109,7 +99,8 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
     none of the temperatures that were logged shows it.
     """
     survey, needs = campaign.survey, set(finding.term.needs)
-    if {survey.time_column, "target_mm"} <= needs and survey.temperatures and not needs & set(survey.temperatures):
+    thermometers = {name for name in campaign.columns if TEMPERATURE.fullmatch(name)}
+    if {survey.time_column, "target_mm"} <= needs and thermometers and not needs & thermometers:
         return True
     if finding.effect not in ONCE:
         return False
@@ -144,105 +135,21 @@ def beaten_by_runs(chosen: Chosen) -> set[str]:
     return out
 
 
-def not_told_apart(
-    findings: Sequence[Finding], recorded: Collection[str], columns: Columns | None = None
-) -> dict[str, tuple[str, ...]]:
-    """By effect, the rival that follows one column nobody recorded, where that column goes with those that were recorded.
-
-    The motor's torque goes with speed, load and direction: a deflection by torque where the speed is not known may be a lag; a lag
-    where neither load nor torque is known may be a deflection, and beside a deflection, where one of them is not, the rest of it. A
-    load and a temperature tilt the carriage: a deflection alike in both directions, or one beside a slow course, may be an arm times
-    an angle that was not measured; an arm where the load is not known may be a deflection. The air of the shop warms with the
-    machine: a drift with a temperature may be that of a dead path, and a growth that no material has that of the air's index; where
-    no temperature of the machine is known, what the air does may be the machine's, and the other way round; where none is known at
-    all, so may a course of time. An expansion of no more than air does in a day may be the air's. A jump may be a load that was put
-    on, or another axis that went elsewhere. Wear at an end of the travel, unlike in the two directions, may be lost motion where the
-    way since the reversal is known from the targets alone.
-
-    columns: completed, of the rows, (n,) each; sizes and places do not count without
-    """
-    found = {finding.effect: finding for finding in findings}
-    out: dict[str, tuple[str, ...]] = {}
-    deflection = found.get("load_deflection")
-    tilts = any(is_tilt(term) for finding in findings if finding.effect == "load_deflection" for term in finding.terms)
-    if deflection is not None and "torque_percent" in deflection.term.needs and "velocity_mm_s" not in recorded:
-        out["load_deflection"] = ("velocity_lag",)
-    elif "velocity_lag" in found and len(FORCES - set(recorded)) > (deflection is None):
-        out["velocity_lag"] = ("load_deflection",)
-    slow = SLOW & set(found)
-    if deflection is not None and (slow or tilts) and not set(ANGLES) <= set(recorded):
-        out |= {name: (*out.get(name, ()), "abbe") for name in (*slow, "load_deflection")}
-    if "abbe" in found and deflection is None and "load_kg" not in recorded:
-        out["abbe"] = ("load_deflection",)
-    if "datum_step" in found and "load_kg" not in recorded:
-        out["datum_step"] = (*out.get("datum_step", ()), "load_deflection")
-    if "datum_step" in found and not any(map(OTHER_AXIS.fullmatch, recorded)):
-        out["datum_step"] = (*out.get("datum_step", ()), "cross_axis")
-    worn = found.get("local_wear")
-    if worn is not None and "since_reversal_mm" not in recorded and _is_worn_at_an_end(worn, columns):
-        out["local_wear"] = ("lost_motion",)
-    by_air_or_machine = (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index"))
-    without_temperature = not any(TEMPERATURE.fullmatch(column) for column in recorded)
-    if without_temperature:
-        out |= {by_air: (*out.get(by_air, ()), name) for name, by_air in by_air_or_machine if by_air in found}
-    if AIR_TEMPERATURE not in recorded or without_temperature:
-        for name, by_air in by_air_or_machine:
-            finding = found.get(name)
-            knows_none = without_temperature and AIR_TEMPERATURE not in recorded
-            if finding is not None and _may_be_of_air(finding, columns, knows_none=knows_none):
-                out[name] = (*out.get(name, ()), by_air)
-    return out
-
-
-def _may_be_of_air(finding: Finding, columns: Columns | None, *, knows_none: bool) -> bool:
-    """Whether a drift or an expansion may be what the air does, where its temperature was not recorded, or none of the machine (the
-    air's neither: knows_none). columns: of the rows, where the size of an expansion counts
-    """
-    if not any(is_temperature(name) for term in finding.terms for name in term.needs):
-        return knows_none
-    if finding.effect == "thermal_drift" or finding.is_implausible:
-        return True
-    return columns is not None and _growth_ppm(finding, columns) < MOST_OF_AIR_PPM
-
-
-def _is_worn_at_an_end(finding: Finding, columns: Columns | None) -> bool:
-    """Whether a worn zone reaches an end of the travel, unlike in the two directions: there are the reversals."""
-    if columns is None or not any("direction" in term.needs for term in finding.terms):
-        return False
-    course_um, target = np.abs(sum(term.error_um(columns) for term in finding.terms)), columns["target_mm"]
-    at_ends = (target == np.min(target)) | (target == np.max(target))
-    return bool(np.max(course_um[at_ends]) > 0.5 * np.max(course_um))
-
-
-def _growth_ppm(finding: Finding, columns: Columns) -> float:
-    """Change over the rows of what an effect adds along the travel, ppm of it; infinite at one place."""
-    ends_mm = [float(end(columns["target_mm"])) for end in (np.min, np.max)]
-    there_um, here_um = (
-        sum(term.error_um({**columns, "target_mm": np.full_like(columns["target_mm"], at)}) for term in finding.terms)
-        for at in reversed(ends_mm)
-    )
-    travel_mm = ends_mm[1] - ends_mm[0]
-    return float(np.ptp(there_um - here_um)) / travel_mm / UM_PER_MM_PPM if travel_mm > 0.0 else math.inf
-
-
 def with_rivals(
     findings: Sequence[Finding],
     doubted: Collection[str],
     unseen: Mapping[str, Sequence[str]],
-    recorded: Collection[str],
+    alike: Mapping[str, Sequence[str]],
     carriers: Sequence[Carrier],
-    *,
-    columns: Columns | None = None,
 ) -> tuple[Finding, ...]:
     """The findings beside what is left, those of the effects in doubt beside the causes that nobody recorded.
 
-    unseen: of each effect the columns that nobody recorded; columns: completed, of the rows, (n,) each
+    unseen: of each effect the columns that nobody recorded; alike: by effect, rivals through such a column (`not_told_apart`)
     """
-    by_one_column = not_told_apart(findings, recorded, columns)
     out = []
     for finding in findings:
         names = (OUTSIDE, *(name for name in unseen if name != finding.effect)) if finding.effect in doubted else ()
-        names = tuple(dict.fromkeys((*by_one_column.get(finding.effect, ()), *names)))
+        names = tuple(dict.fromkeys((*alike.get(finding.effect, ()), *names)))
         refuted = any(is_refuted_by(finding, carrier) for carrier in carriers)
         if refuted:
             names = tuple(dict.fromkeys((*names, OUTSIDE)))
@@ -271,16 +178,6 @@ def is_refuted_by(finding: Finding, carrier: Carrier) -> bool:
 def _kind(column: str) -> str:
     """What a column is of: a hysteresis follows all of the way to the target, and the temperatures of a machine rise together."""
     return "way" if column in WAY else "temperature" if TEMPERATURE.fullmatch(column) else column
-
-
-def unrecorded(effects: Sequence[Effect], survey: Survey, recorded: Collection[str]) -> dict[str, tuple[str, ...]]:
-    """Of each effect that could show in columns nobody recorded, these. A speed that was not recorded is rest."""
-    absent = [name for name in SENSORS if name not in recorded]
-    wider = replace(survey, varying=survey.varying.union(absent), mean={**dict.fromkeys(absent, 1.0), **survey.mean})
-    read = {effect.id: {name for form in effect.forms(wider) for name in form.inputs} for effect in effects}
-    return {
-        effect: tuple(name for name in absent if name in names) for effect, names in read.items() if names & set(absent)
-    }
 
 
 def beside_unseen_causes(

@@ -36,19 +36,15 @@ from hil.diagnosis.search.select import Selected
 from hil.diagnosis.verdict.courses import course_note, within_what_was_seen
 from hil.diagnosis.verdict.held_out import few_of
 from hil.diagnosis.verdict.rivals import (
-    SENSORS,
-    beside_unseen_causes,
     beside_what_is_left,
     is_between_runs,
     is_refuted_by,
     is_unsure,
-    not_told_apart,
-    unrecorded,
     with_rivals,
 )
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.model import Model, PitchTable
-from hil.effects.survey import Survey, survey_of
+from hil.effects.survey import Survey
 from hil.effects.warming import as_far_as_seen
 from hil.records.rows import Records
 
@@ -781,40 +777,6 @@ def finding_of(effect: str, column: str) -> Finding:
     return Finding(Term(known, form, (), (1.0,), ((0.01,),)), 0.99, (), 1.0, 0.1, 2.0)
 
 
-def test_what_the_torque_cannot_tell_apart_where_speed_or_load_is_not_recorded_stays_a_rival() -> None:
-    by_torque, by_load = finding_of("load_deflection", "torque_percent"), finding_of("load_deflection", "load_kg")
-    lag = finding_of("velocity_lag", "velocity_mm_s")
-    whole = ("torque_percent", "load_kg", "velocity_mm_s", "pitch_urad", "yaw_urad")
-    assert not_told_apart([by_torque], ("torque_percent", "load_kg")) == {"load_deflection": ("velocity_lag",)}
-    assert not_told_apart([by_torque], whole) == {}
-    assert not_told_apart([by_load, lag], whole) == {}
-    without_torque = [name for name in whole if name != "torque_percent"]
-    assert not_told_apart([by_load, lag], without_torque) == {"velocity_lag": ("load_deflection",)}
-    assert not_told_apart([by_torque, lag], ("torque_percent", "velocity_mm_s")) == {
-        "velocity_lag": ("load_deflection",)
-    }
-    assert not_told_apart([lag], ("velocity_mm_s", "load_kg")) == {}
-    assert not_told_apart([lag], ("velocity_mm_s",)) == {"velocity_lag": ("load_deflection",)}
-    doubted = beside_unseen_causes(by_torque, ("velocity_lag",))
-    assert doubted.confidence == pytest.approx(0.99 / (1.0 + 0.99 * np.exp(-0.5)))
-    assert [rival.effect for rival in doubted.rivals] == ["velocity_lag"]
-    assert doubted.confidence + doubted.rivals[0].confidence == pytest.approx(1.59 / 1.6, rel=0.01)
-
-
-def test_a_cause_whose_sensor_nobody_recorded_is_a_rival_of_what_is_in_doubt() -> None:
-    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
-    bare = survey_of({name: campaign.columns[name] for name in ("run", "direction", "target_mm", "time_s")})
-    assert set(unrecorded(ALL, bare, ())) == {
-        *("abbe", "air_index", "dead_path", "load_deflection", "cross_axis", "thermal_expansion", "thermal_drift"),
-    }, "a speed that was not recorded is rest"
-    assert unrecorded(ALL, bare, SENSORS) == {}, "what was recorded and did not vary is no rival"
-    assert unrecorded(ALL, bare, set(SENSORS) - {"yaw_urad"}) == {"abbe": ("yaw_urad",)}
-    doubted = beside_unseen_causes(finding_of("load_deflection", "load_kg"), ("unexplained", "abbe"))
-    weights = {rival.effect: rival.confidence for rival in doubted.rivals}
-    assert weights["abbe"] == pytest.approx(weights["unexplained"])
-    assert 0.5 < doubted.confidence < 0.7
-
-
 def test_a_name_is_as_sure_as_it_is_large_beside_what_is_left_unexplained() -> None:
     sure = finding_of("load_deflection", "load_kg")  # 1 µm, 0.99
     assert beside_what_is_left(sure, 0.0) == sure
@@ -822,99 +784,6 @@ def test_a_name_is_as_sure_as_it_is_large_beside_what_is_left_unexplained() -> N
     assert doubted.confidence == pytest.approx(0.99 * 0.8)
     assert [(rival.effect, pytest.approx(rival.confidence)) for rival in doubted.rivals] == [("unexplained", 0.2)]
     assert beside_what_is_left(sure, 0.1).confidence > 0.97, "a tenth of it is hardly the cause of all"
-
-
-def test_a_tilt_and_the_air_that_nobody_recorded_are_rivals_of_what_goes_with_them() -> None:
-    by_load, drift = finding_of("load_deflection", "load_kg"), finding_of("thermal_drift", "temp_bed_c")
-    angles = ("pitch_urad", "yaw_urad")
-    whole = (*angles, "load_kg", "torque_percent", "velocity_mm_s", "air_temp_c", "temp_bed_c")
-    assert not_told_apart([by_load, drift], whole) == {}
-    without_yaw = [name for name in whole if name != "yaw_urad"]
-    assert not_told_apart([by_load, drift], without_yaw) == {"load_deflection": ("abbe",), "thermal_drift": ("abbe",)}
-    assert not_told_apart([by_load], without_yaw) == {"load_deflection": ("abbe",)}, "a load tilts a carriage"
-    reversing = replace(by_load.term, form=Form("load_deflection", "with direction", ("load_kg",)))
-    by_torque = finding_of("load_deflection", "torque_percent")
-    for stiff in (by_torque, replace(by_load, term=reversing)):
-        assert not_told_apart([stiff], without_yaw) == {}, "no tilt turns with the direction of motion"
-    arm = finding_of("abbe", "pitch_urad")
-    assert not_told_apart([arm], whole) == {}
-    assert not_told_apart([arm], [name for name in whole if name != "load_kg"]) == {"abbe": ("load_deflection",)}
-    without_air = [name for name in whole if name != "air_temp_c"]
-    assert not_told_apart([drift], without_air) == {"thermal_drift": ("dead_path",)}
-    path, index = finding_of("dead_path", "air_temp_c"), finding_of("air_index", "air_temp_c")
-    bare = [name for name in whole if name != "temp_bed_c"]
-    assert not_told_apart([path, index], bare) == {"dead_path": ("thermal_drift",), "air_index": ("thermal_expansion",)}
-    assert not_told_apart([path, index], whole) == {}
-    settling = finding_of("thermal_drift", "time_s")
-    assert not_told_apart([settling], without_air) == {}, "air does not settle from the start of a campaign"
-    growing = finding_of("thermal_expansion", "temp_bed_c")  # 1 ppm/K, which no material has
-    assert not_told_apart([growing], without_air) == {"thermal_expansion": ("air_index",)}
-    steel = replace(growing, term=replace(growing.term, coefficients=(11.5,)))
-    assert not_told_apart([steel], without_air) == {}
-
-
-@pytest.mark.parametrize(("rise_k", "small"), [(0.4, True), (0.6, False)])
-def test_an_expansion_of_no_more_than_air_does_in_a_day_may_be_the_airs(rise_k: float, small: bool) -> None:
-    """11.5 ppm/K: 4.6 and 6.9 ppm, where 3 K and 10 hPa of air make 5.5 (Edlén: 0.93 ppm/K and 0.27 ppm/hPa)."""
-    growing = finding_of("thermal_expansion", "temp_bed_c")
-    form = Form("thermal_expansion", "temperature", ("temp_bed_c", "target_mm"))
-    steel = replace(growing, term=replace(growing.term, form=form, coefficients=(11.5,)))
-    rows = {
-        "target_mm": np.array([0.0, 500.0, 0.0, 500.0]),
-        "temp_bed_c": 21.0 + rise_k * np.array([0.0, 0.0, 1.0, 1.0]),
-    }
-    known = ("temp_bed_c", "load_kg")
-    assert not_told_apart([steel], known, rows) == ({"thermal_expansion": ("air_index",)} if small else {})
-    assert not_told_apart([steel], (*known, "air_temp_c"), rows) == {}
-
-
-def test_a_course_of_time_may_be_the_airs_where_no_temperature_was_recorded() -> None:
-    settling, growing = finding_of("thermal_drift", "time_s"), finding_of("thermal_expansion", "time_s")
-    assert not_told_apart([settling, growing], ("time_s", "load_kg")) == {
-        "thermal_drift": ("dead_path",),
-        "thermal_expansion": ("air_index",),
-    }
-    assert not_told_apart([settling, growing], ("time_s", "temp_bed_c")) == {}
-
-
-@pytest.mark.parametrize(("centre_mm", "at_an_end"), [(10.0, True), (250.0, False), (495.0, True)])
-def test_wear_at_an_end_may_be_lost_motion_where_the_way_since_the_reversal_was_not_recorded(
-    centre_mm: float, at_an_end: bool
-) -> None:
-    found = finding_of("local_wear", "target_mm")
-    both_ways = Form("local_wear", "bump with direction", ("target_mm", "direction"))
-    term = replace(found.term, form=both_ways, theta=(centre_mm, 30.0), coefficients=(1.0,))
-    place = np.linspace(0.0, 500.0, 51)
-    rows = {"target_mm": np.tile(place, 2), "direction": np.repeat([1.0, -1.0], 51)}
-    worn = replace(found, term=term)
-    assert not_told_apart([worn], ("time_s",), rows) == ({"local_wear": ("lost_motion",)} if at_an_end else {})
-    assert not_told_apart([worn], ("time_s", "since_reversal_mm"), rows) == {}
-    alike = replace(worn, term=replace(term, form=Form("local_wear", "bump", ("target_mm",))))
-    assert not_told_apart([alike], ("time_s",), rows) == {}, "what is alike in both directions is no lost motion"
-
-
-WAY_ONLY = ("run", "direction", "target_mm", "time_s")
-
-
-def test_a_jump_may_be_a_load_that_was_put_on_or_another_axis_that_moved_where_these_were_not_recorded() -> None:
-    jump = finding_of("datum_step", "time_s")
-    assert not_told_apart([jump], ("load_kg", "pos_y_mm")) == {}
-    assert not_told_apart([jump], ("pos_z_mm",)) == {"datum_step": ("load_deflection",)}
-    assert not_told_apart([jump], ("load_kg",)) == {"datum_step": ("cross_axis",)}
-    bare = survey_of(
-        {
-            name: values
-            for name, values in prepare(workshop(31, noise_um=NOISE_UM)[0]).columns.items()
-            if name in WAY_ONLY
-        }
-    )
-    (told,) = with_rivals([jump], (), unrecorded(ALL, bare, WAY_ONLY), WAY_ONLY, ())
-    assert told.confidence < 0.7
-    separate_by = {rival.effect: rival.separate_by for rival in told.rivals}
-    assert separate_by["load_deflection"] == "record one of these in every row: load_kg; torque_percent"
-    assert separate_by["cross_axis"] == "record in every row: pos_y_mm"
-    left = beside_what_is_left(told, 0.5)
-    assert {rival.effect: rival.separate_by for rival in left.rivals}.items() >= separate_by.items()
 
 
 @pytest.mark.parametrize(
@@ -939,7 +808,7 @@ def test_a_name_is_refuted_by_what_is_left_along_its_column_and_another(
     finding = finding_of(effect, column)
     carrier = Carrier(left, Estimate(0.1, 0.01), 1e-6)
     assert is_refuted_by(finding, carrier) is refuted
-    (told,) = with_rivals([finding], (), {}, SENSORS, [carrier])
+    (told,) = with_rivals([finding], (), {}, {}, [carrier])
     assert (told.confidence < 0.7) is refuted, "however small it is"
     assert ("unexplained" in {rival.effect for rival in told.rivals if rival.confidence > 0.3}) is refuted
 

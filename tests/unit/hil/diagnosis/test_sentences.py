@@ -18,7 +18,8 @@ from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import Finding, RivalFound
 from hil.diagnosis.verdict.held_out import suspected_note
-from hil.diagnosis.verdict.rivals import SENSORS, separating
+from hil.diagnosis.verdict.rivals import separating
+from hil.diagnosis.verdict.unlogged import SENSORS
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
