@@ -72,6 +72,8 @@ MOST_TIMES = 10.0
 """Standard deviation of an effect over that of all errors that cannot be. A table may take out most of an expansion: at 15 K from the
 reference temperature some five times what is left.
 """
+ALL_TIMES = 2.0
+"""The same from which two effects that undo each other are not there, whatever a table can hold of them."""
 UNNAMED = ""
 """Stands for what is left without a name, among the names of effects."""
 
@@ -447,9 +449,10 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
     """Removes the effects that only undo another one, or what was found without a name; returns their names, and whether one was far
     larger than all errors.
 
-    Two courses beside the table, both larger than the noise, are each other's opposite but for a small part: their difference is then
-    as large as one likes, and no other campaign has it. Of two effects the one that the rows require less goes. (520 and -520 µm were
-    fitted to errors of 1 µm.) So does one that is larger than all errors by far (`MOST_TIMES`): others, or the table, undo it.
+    Two courses beside the table, both larger than the noise, are each other's opposite but for a small part, or two as they are, both
+    larger than all errors: their difference is then as large as one likes, and no other campaign has it. Of two effects the one that
+    the rows require less goes. (520 and -520 µm were fitted to errors of 1 µm.) So does one that is larger than all errors by far
+    (`MOST_TIMES`): others, or the table, undo it.
     """
     last, opposed, beyond = chosen.last, set[str](), False
     columns, errors_um = last.searcher.linear.campaign.columns, float(np.std(last.searcher.linear.campaign.error_um))
@@ -458,12 +461,12 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
         for term in chosen.fit.found:
             courses[term.effect.id] = courses.get(term.effect.id, 0.0) + term.error_um(columns)
         beside = {name: _beside_table(chosen, course_um) for name, course_um in courses.items()}
-        size_um = {name: float(np.std(course_um)) for name, course_um in beside.items()}
-        large = [name for name in beside if size_um[name] > chosen.fit.white_um]
-        left: dict[tuple[str, ...], float] = {
-            (one, other): float(np.std(beside[one] + beside[other])) / min(size_um[one], size_um[other])
-            for one, other in itertools.combinations(large, 2)
-        }
+        left: dict[tuple[str, ...], float] = {}
+        for some, noise_um in ((beside, chosen.fit.white_um), (courses, ALL_TIMES * errors_um)):
+            size_um = {name: float(np.std(course_um)) for name, course_um in some.items()}
+            for one, other in itertools.combinations([name for name in some if size_um[name] > noise_um], 2):
+                share = float(np.std(some[one] + some[other])) / min(size_um[one], size_um[other])
+                left[one, other] = min(share, left.get((one, other), share))
         pair: tuple[str, ...] = min(left, key=left.__getitem__, default=())
         if not pair or left[pair] >= policy().opposed:
             whole_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
@@ -483,7 +486,7 @@ def required_all_the_same(
     """The fit with effects that did not help on runs left out, what is left beside them, and those effects.
 
     Something is left without them: it is theirs where less is left with them, as long as no function of other columns explains it
-    better. Run offsets and few runs hide from such runs what all rows together show.
+    better, and none only undoes another. Run offsets and few runs hide from such runs what all rows together show.
     """
     last = chosen.last
     back = set(dropped) - beaten(last.searcher, last.choices, last.noise)
@@ -491,8 +494,11 @@ def required_all_the_same(
         return chosen, left, back
     kept = {one.effect.id for one in chosen.kept} | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
-    both = replace(chosen, fit=last.searcher.fit(again, last.noise))
-    beside = left_over(last.searcher, again, last.noise, both.unclaimed)
+    both, opposed, _ = without_opposed(replace(chosen, fit=last.searcher.fit(again, last.noise)))
+    back -= opposed
+    if not back:
+        return chosen, left, back
+    beside = left_over(last.searcher, both.kept, last.noise, both.unclaimed)
     if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
         return chosen, left, set()
     return both, beside, back
@@ -515,7 +521,7 @@ def beside_the_rest(
     noise = last.searcher.fit_noise(kept, last.noise)
     last.searcher.limit_outliers(kept, noise)
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    again = settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise)))
+    again, _, _ = without_opposed(settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise))))
     if len(kept) < len(chosen.kept):
         wander = (one for one in left if _is_wander(one, chosen, campaign))
         sizes = (*sized(last.searcher, again.kept, noise, beside), *wander)

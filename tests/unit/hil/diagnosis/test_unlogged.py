@@ -142,8 +142,8 @@ STILL = ["air_temp_c", "temp_bed_c"]
         (drift(1.0, "air_temp_c"), ["air_temp_c", "air_pressure_hpa"], {"air_temp_c": 2.0, "air_pressure_hpa": 0.2}, ("dead_path",)),
         (drift(4.0, "air_temp_c"), ["air_temp_c", "air_pressure_hpa"], {"air_temp_c": 2.0, "air_pressure_hpa": 0.2}, ()),
         # courses of time: no thermometer at all; a barometer missing; a thermometer that shows nothing of it
-        (by_time("thermal_drift", 15.0), [], {}, ("dead_path",)),
-        (by_time("thermal_drift", 30.0), [], {}, ()),
+        (by_time("thermal_drift", 15.0), [], {}, ("beam_drift", "dead_path")),
+        (by_time("thermal_drift", 30.0), [], {}, ("beam_drift",)),
         (by_time("thermal_expansion", 9.0), [], {}, ("air_index",)),
         (by_time("thermal_expansion", 60.0), [], {}, ()),
         (by_time("thermal_drift", 4.0), STILL, dict.fromkeys(STILL, 0.1), ("beam_drift", "dead_path")),

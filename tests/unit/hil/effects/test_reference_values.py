@@ -888,7 +888,7 @@ def test_a_worn_zone_is_a_bell() -> None:
         "height_with_direction_um": (2.0, 0.2),
     }
     assert "Around 100 ± 0.6 mm, with a half width of 10 ± 0.8 mm" in found.effect.explain(found)
-    assert "by 5 ± 0.2 µm:" in found.effect.explain(found)
+    assert "by 5 ± 0.2 µm, and with the direction by 2 ± 0.4 µm:" in found.effect.explain(found)
     opposed = term("local_wear", "bump with direction", list(columns), [5.0], (100.0, 10.0))
     assert "opposite sign" in opposed.effect.explain(opposed)
     assert list(opposed.parameters) == ["height_um", "centre_mm", "width_mm"]
