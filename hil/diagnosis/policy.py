@@ -258,7 +258,7 @@ class Policy:
     within_s: float = _number(30.0, "s", "between repeats in which nothing warms up", "set by hand")
     within_rows: float = _number(10.0, "rows", "the same where no time was recorded", "set by hand")
     # -- what is said ----------------------------------------------------------------------------------------------------
-    least_confidence: float = _number(0.02, SHARE, "of a rival to be listed", "set by hand")
+    least_confidence: float = _number(0.02, SHARE, "of a cause to be listed as a rival by the search", "set by hand")
     decided: float = _number(
         0.95,
         SHARE,

@@ -54,10 +54,9 @@ def not_told_apart(
     where neither load nor torque is known may be a deflection, and beside a deflection, where one of them is not, the rest of it. A
     load and a temperature tilt the carriage: a deflection alike in both directions, or one beside a slow course, may be an arm times
     an angle that was not measured; an arm where the load is not known may be a deflection. A drift or an expansion may be the air's
-    (`_may_be_of_air`), and a drift that no thermometer shows the beam's; where no thermometer of the machine is
-    there, what the air's temperature does may be the machine's. A jump with a pause may be a load that was put on, or another axis
-    that went elsewhere. Wear at an end of the travel may be lost motion where the way since the reversal is known from the targets
-    alone.
+    (`_may_be_of_air`), and a drift that no thermometer shows the beam's; where no thermometer of the machine is there, what the air's
+    temperature does may be the machine's. A jump with a pause may be a load that was put on, or another axis that went elsewhere. Wear
+    at an end of the travel may be lost motion where the way since the reversal is known from the targets alone.
 
     columns: completed, of the rows, (n,) each
     """
