@@ -41,6 +41,8 @@ may do twice that.
 UNWATCHED = 2.0
 LONGEST_DEAD_PATH_MM = 2000.0
 """The interferometer at the machine's end, and its reflector at the far one at the first row: more is no dead path of a machine."""
+NEAR_AN_END = 0.1
+"""Of the travel: runs turn there at places of their own, and a stroke that reaches no nearer is a short one."""
 PAUSE = 3.0
 """Usual intervals between two rows, from which somebody may have done something between them."""
 
@@ -177,17 +179,19 @@ def is_within_a_pass(course_um: Floats, columns: Columns) -> bool:
 
 
 def is_worn_after_reversals(finding: Finding, columns: Columns) -> bool:
-    """Whether a worn zone reaches an end of the travel, unlike in the two directions, on the rows after a reversal there: upwards from
-    the lower end, or downwards from the upper one.
+    """Whether a worn zone holds the first row after a reversal near an end of the travel, unlike in the two directions there: upwards
+    at the lower end, or downwards at the upper one.
     """
     up_um, down_um = (
         _course_um(finding, {**columns, "direction": np.full_like(columns["direction"], way)}) for way in (1.0, -1.0)
     )
     target, largest = columns["target_mm"], max(float(np.max(np.abs(up_um))), float(np.max(np.abs(down_um))))
+    near_mm = NEAR_AN_END * float(np.ptp(target))
+    has_turned = np.concatenate([[True], np.diff(columns["direction"]) != 0.0])
     is_odd = np.abs(up_um - down_um) > 0.5 * largest
-    from_low = (target == np.min(target)) & (np.abs(up_um) > 0.5 * largest)
-    from_high = (target == np.max(target)) & (np.abs(down_um) > 0.5 * largest)
-    return bool(np.any(is_odd & (from_low | from_high)))
+    from_low = (target <= np.min(target) + near_mm) & (np.abs(up_um) > 0.5 * largest)
+    from_high = (target >= np.max(target) - near_mm) & (np.abs(down_um) > 0.5 * largest)
+    return bool(np.any(has_turned & is_odd & (from_low | from_high)))
 
 
 def unrecorded(effects: Sequence[Effect], survey: Survey, recorded: Collection[str]) -> dict[str, tuple[str, ...]]:

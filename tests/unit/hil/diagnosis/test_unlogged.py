@@ -189,6 +189,7 @@ def worn(centre_mm: float, up: float, down: float) -> Finding:
         (worn(495.0, 4.0, 0.0), False),
         (worn(495.0, 4.0, 4.0), False),  # alike in both directions, which no lost motion is
         (worn(250.0, 4.0, -4.0), False),
+        (worn(455.0, 0.0, 4.0), False),  # 2 % of it where the axis turns, at 500
     ],
 )
 def test_wear_at_an_end_may_be_lost_motion_where_the_way_since_the_reversal_was_not_recorded(
@@ -201,6 +202,13 @@ def test_wear_at_an_end_may_be_lost_motion_where_the_way_since_the_reversal_was_
         (told,) = with_rivals([finding], (), {}, expected, ())
         (rival,) = told.rivals
         assert rival.separate_by == "approach the same targets after travels of other lengths"
+
+
+def test_runs_turn_at_places_of_their_own_near_an_end() -> None:
+    """The second run turns at 455 mm, where the zone is; the first one beyond it, at 500."""
+    some = rows()
+    shorter = {**some, "target_mm": np.where(some["run"] == 2.0, 0.91, 1.0) * some["target_mm"]}
+    assert not_told_apart([worn(455.0, 0.0, 4.0)], WAY_ONLY, shorter) == {"local_wear": ("lost_motion",)}
 
 
 def jump(row: int) -> Finding:
