@@ -77,7 +77,7 @@ def to_record(columns: Sequence[str]) -> str:
 
 def to_show(column: str, recorded: Collection[str]) -> str:
     """What to do for one column that nobody changed, or recorded."""
-    return f"measure where it differs: {column}" if column in recorded else to_record((column,))
+    return f"measure at another value of: {column}" if column in recorded else to_record((column,))
 
 
 def is_between_runs(course_um: Floats, campaign: CampaignRows) -> bool:

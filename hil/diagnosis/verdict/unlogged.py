@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.result import Finding
 from hil.effects import Columns, Effect, Survey
+from hil.effects.air import SENSORS as AIR_SENSORS
 from hil.effects.base import UM_PER_MM_PPM
 from hil.effects.load_deflection import is_tilt
 from hil.effects.survey import OTHER_AXIS
@@ -25,7 +26,7 @@ PRESSURE = "air_pressure_hpa"
 WAY_SINCE = "since_reversal_mm"
 SENSORS = (
     *("load_kg", "torque_percent", "pitch_urad", "yaw_urad", "pos_y_mm"),
-    *(AIR_TEMPERATURE, PRESSURE, "air_humidity_percent", "temp_screw_c"),
+    *(*AIR_SENSORS, "temp_screw_c"),
 )
 """Columns that a cause may follow; through one that was not recorded it can only be a rival."""
 FORCES = frozenset({"load_kg", "torque_percent"})
@@ -33,12 +34,11 @@ ANGLES = ("pitch_urad", "yaw_urad")
 SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
 """Effects that are an offset in the course of time."""
 PPM_PER_UNIT = {AIR_TEMPERATURE: 0.93, PRESSURE: 0.27}
-"""Change of the air's refractive index, ppm of the length, per K and per hPa (Edlén, at 20 °C)."""
+"""Change of the air's refractive index, ppm of the length, per K and per hPa (`drivers.edlen`, at 20 °C and 1013.25 hPa)."""
 USUAL_SWING = {AIR_TEMPERATURE: 3.0, PRESSURE: 10.0}
-"""What the air of a shop may do during a campaign where nobody logged it, K and hPa: together 5.5 ppm. A room without any thermometer
-may do twice that.
-"""
+"""What the air of a shop may do during a campaign where nobody logged it, K and hPa: together 5.5 ppm."""
 UNWATCHED = 2.0
+"""What it may do in a room without any thermometer, over that."""
 LONGEST_DEAD_PATH_MM = 2000.0
 """The interferometer at the machine's end, and its reflector at the far one at the first row: more is no dead path of a machine."""
 NEAR_AN_END = 0.1
@@ -101,7 +101,7 @@ def _by_what_was_done(
 def _by_temperatures(
     found: Mapping[str, Finding], recorded: Collection[str], columns: Columns
 ) -> Iterator[tuple[str, str]]:
-    has_thermometer = any(TEMPERATURE.fullmatch(column) for column in recorded)
+    has_thermometer = _has_thermometer(recorded)
     if "thermal_drift" in found and not _follows_a_temperature(found["thermal_drift"]):
         yield "thermal_drift", "beam_drift"
     for name, by_air in (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index")):
@@ -109,6 +109,11 @@ def _by_temperatures(
             yield by_air, name
         if name in found and _may_be_of_air(found[name], recorded, columns):
             yield name, by_air
+
+
+def _has_thermometer(recorded: Collection[str]) -> bool:
+    """Whether a temperature of the machine was recorded."""
+    return any(TEMPERATURE.fullmatch(column) for column in recorded)
 
 
 def _follows_a_temperature(finding: Finding) -> bool:
@@ -133,7 +138,7 @@ def _may_be_of_air(finding: Finding, recorded: Collection[str], columns: Columns
     course of time where any of the air was not recorded. What was recorded did what it did, the rest what it usually does at most.
     """
     absent = [name for name in PPM_PER_UNIT if name not in recorded]
-    has_thermometer = any(TEMPERATURE.fullmatch(column) for column in recorded)
+    has_thermometer = _has_thermometer(recorded)
     follows = _follows_a_temperature(finding)
     if follows and has_thermometer and AIR_TEMPERATURE in recorded:
         return False

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from support.workshop import Floats, workshop
 
+from drivers.edlen import refractivity
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.result import Finding
 from hil.diagnosis.verdict.rivals import beside_unseen_causes, beside_what_is_left, with_rivals
-from hil.diagnosis.verdict.unlogged import SENSORS, is_within_a_pass, not_told_apart, unrecorded
+from hil.diagnosis.verdict.unlogged import PPM_PER_UNIT, SENSORS, is_within_a_pass, not_told_apart, unrecorded
 from hil.effects import ALL, Form, Term
 from hil.effects.survey import survey_of
 from hil.effects.warming import WARMING
@@ -157,6 +158,13 @@ def test_a_drift_or_an_expansion_may_be_the_airs_by_its_size(
 ) -> None:
     some = rows(**{name: 20.0 + by * T for name, by in moved.items()})
     assert not_told_apart([finding], [*WAY_ONLY, *recorded], some) == ({finding.effect: rivals} if rivals else {})
+
+
+def test_what_the_air_does_is_edlens() -> None:
+    warmer, denser = refractivity(20.5, 1013.25, 50.0), refractivity(20.0, 1013.75, 50.0)
+    colder, thinner = refractivity(19.5, 1013.25, 50.0), refractivity(20.0, 1012.75, 50.0)
+    assert PPM_PER_UNIT["air_temp_c"] == pytest.approx((colder - warmer) * 1e6, rel=0.03)
+    assert PPM_PER_UNIT["air_pressure_hpa"] == pytest.approx((denser - thinner) * 1e6, rel=0.03)
 
 
 @pytest.mark.parametrize(("kelvin", "hpa", "may_be"), [(2.0, 0.5, True), (0.1, 7.0, False)])
