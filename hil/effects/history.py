@@ -84,15 +84,11 @@ def row_order(run: Floats) -> Floats:
 
     So the later runs of a campaign stay later when they are read alone.
     """
-    order = np.zeros(len(run))
-    seen: dict[float, int] = {}
-    counts = {float(r): int(c) for r, c in zip(*np.unique(run, return_counts=True), strict=True)}
-    for i, r in enumerate(run):
-        key = float(r)
-        row = seen.get(key, 0)
-        order[i] = (key - 1.0) * counts[key] + row
-        seen[key] = row + 1
-    return order
+    _, group, counts = np.unique(run, return_inverse=True, return_counts=True)
+    by_run = np.argsort(group, kind="stable")
+    within = np.empty(len(run))
+    within[by_run] = np.arange(len(run)) - np.repeat(np.cumsum(counts) - counts, counts)
+    return np.asarray((run - 1.0) * counts[group] + within, dtype=np.float64)
 
 
 def reversals(target_mm: Floats, direction: Floats) -> tuple[Floats, Floats]:
