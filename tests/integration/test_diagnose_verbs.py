@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +68,9 @@ def campaign(expansion_ppm_k: float, seed: int = 3) -> Records:
     return Records.of(rows)
 
 
-def test_diagnose_writes_the_agreed_json_and_a_model_that_apply_takes(tmp_path: Path) -> None:
+def test_diagnose_writes_the_agreed_json_and_a_model_that_apply_takes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     measured, fresh = tmp_path / "measured.csv", tmp_path / "fresh.csv"
     measured.write_text(to_csv(campaign(11.5)))
     fresh.write_text(to_csv(campaign(11.5, seed=4)))
@@ -84,6 +87,12 @@ def test_diagnose_writes_the_agreed_json_and_a_model_that_apply_takes(tmp_path: 
     (finding,) = result["findings"]
     assert set(finding) >= {"effect", "parameters", "confidence", "action", "explanation", "rivals"}
     assert (finding["effect"], finding["action"]) == ("thermal_expansion", "compensate")
+    said = capsys.readouterr().out
+    size = re.search(r"thermal_expansion +[\d.]+ +([\d.]+) ± ([\d.]+) +compensate", said)
+    assert size is not None, "what it does on these rows, k = 2"
+    assert [float(one) for one in size.groups()] == pytest.approx(
+        [finding["rms_um"], 2.0 * finding["rms_std_um"]], rel=0.05
+    )
     coefficient = finding["parameters"]["coefficient_ppm_per_k"]
     assert abs(coefficient["value"] - 11.5) < 4 * coefficient["std"] < 2.0
     assert result["after"]["rms_um"] < 0.25 * result["before"]["rms_um"]

@@ -18,6 +18,7 @@ from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import diagnosed
 from hil.diagnosis.job import read_passes
 from hil.diagnosis.pictures import with_plots
+from hil.effects import Estimate
 from hil.effects.user_effects import attributing_errors
 
 EXAMPLE = """\
@@ -125,8 +126,11 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
             print(f"these rows cannot show: {unseen} (why: hil campaign check)")
     else:
         print_table(
-            ["effect", "confidence", ("action", "left"), ("what", "left")],
-            [[f.effect, f"{f.confidence:.3f}", f.action.value, f.explanation] for f in diagnosis.findings],
+            ["effect", "confidence", "RMS, µm", ("action", "left"), ("what", "left")],
+            [
+                [f.effect, f"{f.confidence:.3f}", str(Estimate(f.rms_um, f.rms_std_um)), f.action.value, f.explanation]
+                for f in diagnosis.findings
+            ],
         )
     for finding in diagnosis.findings:
         by_advice: dict[str, list[str]] = {}
