@@ -5,6 +5,7 @@ Errors are predicted and refitted under a known noise; nothing is random or meas
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -46,6 +47,10 @@ TYPICAL_OFFSET = 0.25
 TYPICAL_ARM_MM = 150.0
 WARMING_S, WANDER_S = 900.0, 1800.0
 """Time constant with which strokes warm an axis, and period of changes in its surroundings, s."""
+USUAL_SWING = {"temp": 0.3, "air": 1.0}
+"""Amplitude of such changes over the standard deviation in the records, or in K where there are none; no more than there was in so
+much time.
+"""
 HEAT = 2.0
 """Temperature change by strokes over that seen in the records."""
 LEAST_WANDER = 0.5
@@ -118,16 +123,16 @@ class Continuation:
         plan = motion_columns(run.points, self.means, start_s=start)
         strokes = plan["strokes_s"]
         since = plan["time_s"] - start
-        courses = {
-            "temp": self._warmth(since, strokes),
-            "air": np.sin(2 * np.pi * since / WANDER_S + 1.0),
-        }
         for name in {*base, *run.adds} - set(plan):
             kind = name.split("_")[0]
             old = base.get(name)
-            if SENSED.fullmatch(name) and kind in courses:
-                middle, spread = (20.0, 1.0) if old is None else (float(np.mean(old)), float(np.std(old)))
-                plan[name] = middle + spread * courses[kind]
+            if SENSED.fullmatch(name) and kind in USUAL_SWING:
+                last, spread = (20.0, 1.0) if old is None else (float(old[-1]), float(np.std(old)))
+                swing = USUAL_SWING[kind] * spread
+                if old is not None and timed:
+                    swing = min(swing, math.sqrt(2.0) * _swing(base["time_s"], old, float(since[-1])))
+                warmth = self._warmth(since, strokes) if kind == "temp" else 0.0
+                plan[name] = last + spread * warmth + swing * np.sin(2 * np.pi * since / WANDER_S)
             elif old is not None and name in ("pitch_urad", "yaw_urad"):
                 order = np.argsort(base["target_mm"])
                 plan[name] = np.interp(plan["target_mm"], base["target_mm"][order], old[order])
@@ -141,7 +146,7 @@ class Continuation:
             for duration, aim in ((now - before - fast, 0.0), (fast, 3.0 * HEAT)):
                 state += (aim - state) * (1.0 - np.exp(-max(duration, 0.0) / WARMING_S))
             out[i], before = state, now
-        return np.asarray(out + 0.3 * np.sin(2 * np.pi * since_s / (0.7 * WANDER_S)))
+        return out
 
     def _together(self, plan: Columns) -> dict[str, Floats]:
         """Records and run as one; a set column without values had its usual level, sensors not in both are left out."""
@@ -215,14 +220,18 @@ class Continuation:
         return best[1]
 
     def _wandering(self, unseen: Unseen, so_far: Floats, later: Columns, plan: Columns) -> Floats:
-        """The column continues from its last value and varies as far as it did, by strokes where it is a
-        temperature.
+        """The column continues from its last value and varies as far as it did in as much time; by strokes, where it is a temperature,
+        and where it is logged, as far as it did at all.
         """
         coefficients = np.linalg.lstsq(unseen.design, so_far, rcond=1e-9)[0]
         course = unseen.courses @ coefficients
         level, last, size = float(np.mean(course)), float(course[-1]), float(np.std(course))
         since = plan["time_s"] - plan["time_s"][0]
         wave = np.sin(2 * np.pi * since / WANDER_S)
+        if "time_s" in self.base.columns:
+            wave *= _swing(self.base.columns["time_s"], course, float(since[-1])) / max(
+                size * float(np.std(wave)), 1e-12
+            )
         if unseen.column in plan or (unseen.column == THERMOMETER and np.any(plan["strokes_s"] > 0)):
             size = max(size, LEAST_WANDER * abs(level))
             wave = (
@@ -308,6 +317,13 @@ def _apart(before: Floats, after: Floats) -> Floats:
     """Block-diagonal columns: those for the records are 0 in the run, and the reverse."""
     (n, k), (m, q) = before.shape, after.shape
     return np.block([[before, np.zeros((n, q))], [np.zeros((m, k)), after]])
+
+
+def _swing(time_s: Floats, course: Floats, span_s: float) -> float:
+    """How far a course of the records (n,) varies within so much time: RMS about the means of parts of that length."""
+    _, part = np.unique((time_s - time_s[0]) // max(span_s, 1.0), return_inverse=True)
+    means = np.bincount(part, course) / np.bincount(part)
+    return float(np.std(course - means[part]))
 
 
 def _constant(unseen: Unseen, columns: Columns) -> Floats:

@@ -26,8 +26,11 @@ from hil.records.rows import Records
 
 ENOUGH = 30.0
 """Discrimination Σ(f₁ - f₂)²/σ² beyond which two causes are separated and more has no value."""
-WORTHLESS = 6.0
-"""Discrimination below which a run does not separate a pair."""
+
+
+def least_told() -> float:
+    """Discrimination below which a run does not separate a pair: the log odds that it brings are half of it."""
+    return 2.0 * policy().strong
 
 
 @dataclass(frozen=True)
@@ -72,7 +75,7 @@ class Outlook:
 
     def best_for(self, first: str, second: str) -> Prospect | None:
         """The run of most worth for one pair of causes."""
-        usable = [p for p in self.prospects if p.tells(first, second) >= WORTHLESS]
+        usable = [p for p in self.prospects if p.tells(first, second) >= least_told()]
         return max(usable, key=lambda p: p.tells(first, second) / p.run.minutes, default=None)
 
 
@@ -112,6 +115,6 @@ def _prospect(continuation: Continuation, causes: Sequence[Hypothesis], run: Pla
     for i, j in itertools.combinations(range(len(causes)), 2):
         told = 0.5 * float(min(apart[i, j], ENOUGH) + min(apart[j, i], ENOUGH))
         pairs[causes[i].id, causes[j].id] = told
-        if told >= WORTHLESS:
+        if told >= least_told():
             worth += causes[i].weight * causes[j].weight * told
     return Prospect(run, pairs, worth / run.minutes)
