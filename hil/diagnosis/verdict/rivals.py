@@ -23,6 +23,8 @@ from hil.effects.thermometers import TEMPERATURE, is_temperature
 Floats = NDArray[np.float64]
 
 VARY_APART = "a campaign in which the columns the two read vary apart"
+ONCE_MORE = "a second campaign under other conditions: the effect predicts it, something else does not"
+"""What tells an effect from something that no effect of the catalogue explains, and of which no column is known."""
 NOTHING: Mapping[str, Sequence[str]] = MappingProxyType({})
 WAY = ("since_reversal_mm", "stroke_mm")
 """Columns of the way to the target."""
@@ -62,7 +64,8 @@ def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
 
 def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
     """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
-    return catalogue_says(effect, rival) or (to_record(absent) if absent else VARY_APART)
+    general = ONCE_MORE if rival == OUTSIDE else VARY_APART
+    return catalogue_says(effect, rival) or (to_record(absent) if absent else general)
 
 
 def catalogue_says(effect: Effect, rival: str) -> str:
@@ -184,7 +187,7 @@ def beside_unseen_causes(
     finding: Finding, names: Sequence[str], unseen: Mapping[str, Sequence[str]] = NOTHING
 ) -> Finding:
     """The finding with rivals that nobody recorded, together nearly as likely as itself."""
-    other = finding.confidence * math.exp(-policy().unseen / policy().temperature)
+    other = finding.confidence * math.exp(-policy().simpler / policy().temperature)
     share = 1.0 / (1.0 + other)
     known = {rival.effect: rival.confidence for rival in finding.rivals}
     known |= {name: known.get(name, 0.0) + other / len(names) for name in names}

@@ -19,7 +19,7 @@ BINS = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
 """Edges of the reliability table."""
 DRAWS = 4000
 """Draws of the machines, with repetition, behind the interval of a ratio of two shares."""
-GENERAL = "vary apart"
+GENERAL = ("vary apart", "a second campaign under other conditions")
 """In every advice that names no run but only says of columns that they must."""
 
 
@@ -213,8 +213,9 @@ def _missing(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         found[f"{what}: a wrong name above {CONFIDENT}"] = share([bool(one["confident_wrong"]) for one in own])
     sets = [finding["rivals"] for one in outcomes for finding in one["said"]["findings"]]
     found["names in a set, with the one found"] = quantiles([1 + len(rivals) for rivals in sets])
+    said = [[rival[2] for rival in rivals if len(rival) > 2 and rival[2]] for rivals in sets if rivals]
     found["sets in which a run is named that separates two names"] = share(
-        [any(len(rival) > 2 and rival[2] and GENERAL not in rival[2] for rival in rivals) for rivals in sets if rivals]
+        [any(not any(general in one for general in GENERAL) for one in own) for own in said]
     )
     return found | _by("in a set", outcomes, lambda one: one["truth"]["causes"][0]["name"], lambda one: one["in_a_set"])
 
