@@ -16,7 +16,7 @@ from hil.diagnosis.next.planned_run import Means
 from hil.diagnosis.page_data import ShownFinding, _finding
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
-from hil.diagnosis.result import Finding, RivalFound
+from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
 from hil.diagnosis.verdict.held_out import suspected_note
 from hil.diagnosis.verdict.rivals import separating
 from hil.diagnosis.verdict.unlogged import SENSORS
@@ -174,7 +174,7 @@ def runs() -> Iterator[str]:
 
 def test_what_separates_rivals_and_the_next_measurement_are_said_in_every_language() -> None:
     said = {rival.separate_by for effect in ALL for rival in effect.rivals} | {ALONE_MIN, *runs()}
-    said |= {separating(ALL[0], "some other")}
+    said |= {separating(ALL[0], "some other"), separating(ALL[0], OUTSIDE)}
     for text in said:
         assert Texts("en").said(text) == text
         german = Texts("de").said(text)
