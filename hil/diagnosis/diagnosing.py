@@ -68,12 +68,6 @@ from hil.records.rows import UM_PER_MM, Records
 Floats = NDArray[np.float64]
 
 SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
-MOST_TIMES = 10.0
-"""Standard deviation of an effect over that of all errors that cannot be. A table may take out most of an expansion: at 15 K from the
-reference temperature some five times what is left.
-"""
-ALL_TIMES = 2.0
-"""The same from which two effects that undo each other are not there, whatever a table can hold of them."""
 UNNAMED = ""
 """Stands for what is left without a name, among the names of effects."""
 
@@ -99,14 +93,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     chosen, few, opposed, beyond = without_resembling(chosen)
     is_saturated = _is_saturated(problem, chosen)
-    chosen, left, required, dropped = (
-        (chosen, (), set(), dropped) if is_saturated else _beside_the_choice(chosen, dropped)
-    )
+    chosen, left, required, undone = _beside_the_choice(chosen, dropped, is_saturated=is_saturated)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
-    chosen, left = beside_the_rest(chosen, left, campaign)
-    unexplained = unexplained or bool(left) or beyond
+    chosen, left, opposed_there, far = beside_the_rest(chosen, left, campaign)
+    dropped, opposed = tuple(name for name in dropped if name not in required), opposed | undone | opposed_there
+    unexplained = unexplained or bool(left) or beyond or far
     chosen, noise, sharper = _at_its_best(chosen, rows)
     parts = _noise_parts(chosen.fit.white_um, noise)
     found = _findings(chosen, campaign.columns, noise)
@@ -233,14 +226,16 @@ def _beside_rivals(
 
 
 def _beside_the_choice(
-    chosen: Chosen, dropped: tuple[str, ...]
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str], tuple[str, ...]]:
-    """What is left beside the choice, which holds the dropped effects again that it requires; their names, and those still dropped."""
-    left = left_over(chosen.last.searcher, chosen.kept, chosen.last.noise, chosen.unclaimed)
+    chosen: Chosen, dropped: tuple[str, ...], *, is_saturated: bool
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str]]:
+    """What is left beside the choice, which holds the dropped effects again that it requires; their names, and those of effects taken
+    away for them.
+    """
+    last = chosen.last
+    left = () if is_saturated else left_over(last.searcher, chosen.kept, last.noise, chosen.unclaimed)
     if not left or not dropped:
-        return chosen, left, set(), dropped
-    chosen, left, required = required_all_the_same(chosen, dropped, left)
-    return chosen, left, required, tuple(name for name in dropped if name not in required)
+        return chosen, left, set(), set()
+    return required_all_the_same(chosen, dropped, left)
 
 
 def _is_saturated(problem: Problem, chosen: Chosen) -> bool:
@@ -452,7 +447,7 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
     Two courses beside the table, both larger than the noise, are each other's opposite but for a small part, or two as they are, both
     larger than all errors: their difference is then as large as one likes, and no other campaign has it. Of two effects the one that
     the rows require less goes. (520 and -520 µm were fitted to errors of 1 µm.) So does one that is larger than all errors by far
-    (`MOST_TIMES`): others, or the table, undo it.
+    (the policy's `most_times`): others, or the table, undo it.
     """
     last, opposed, beyond = chosen.last, set[str](), False
     columns, errors_um = last.searcher.linear.campaign.columns, float(np.std(last.searcher.linear.campaign.error_um))
@@ -462,7 +457,7 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
             courses[term.effect.id] = courses.get(term.effect.id, 0.0) + term.error_um(columns)
         beside = {name: _beside_table(chosen, course_um) for name, course_um in courses.items()}
         left: dict[tuple[str, ...], float] = {}
-        for some, noise_um in ((beside, chosen.fit.white_um), (courses, ALL_TIMES * errors_um)):
+        for some, noise_um in ((beside, chosen.fit.white_um), (courses, policy().whole_opposed_from * errors_um)):
             size_um = {name: float(np.std(course_um)) for name, course_um in some.items()}
             for one, other in itertools.combinations([name for name in some if size_um[name] > noise_um], 2):
                 share = float(np.std(some[one] + some[other])) / min(size_um[one], size_um[other])
@@ -471,7 +466,7 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
         if not pair or left[pair] >= policy().opposed:
             whole_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
             largest = max(whole_um, key=whole_um.__getitem__, default=UNNAMED)
-            if whole_um.get(largest, 0.0) <= MOST_TIMES * errors_um:
+            if whole_um.get(largest, 0.0) <= policy().most_times * errors_um:
                 return chosen, opposed, beyond
             pair, beyond = (largest,), True
         without = {name: refitted_without(chosen, {name}, last.noise) for name in pair if name != UNNAMED}
@@ -482,8 +477,9 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
 
 def required_all_the_same(
     chosen: Chosen, dropped: Collection[str], left: tuple[LeftOver, ...]
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str]]:
-    """The fit with effects that did not help on runs left out, what is left beside them, and those effects.
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str]]:
+    """The fit with effects that did not help on runs left out, what is left beside them, those effects, and others taken away because
+    they only undo one of these.
 
     Something is left without them: it is theirs where less is left with them, as long as no function of other columns explains it
     better, and none only undoes another. Run offsets and few runs hide from such runs what all rows together show.
@@ -491,28 +487,28 @@ def required_all_the_same(
     last = chosen.last
     back = set(dropped) - beaten(last.searcher, last.choices, last.noise)
     if not back:
-        return chosen, left, back
+        return chosen, left, back, set()
     kept = {one.effect.id for one in chosen.kept} | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
     both, opposed, _ = without_opposed(replace(chosen, fit=last.searcher.fit(again, last.noise)))
     back -= opposed
     if not back:
-        return chosen, left, back
+        return chosen, left, back, set()
     beside = left_over(last.searcher, both.kept, last.noise, both.unclaimed)
     if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
-        return chosen, left, set()
-    return both, beside, back
+        return chosen, left, set(), set()
+    return both, beside, back, opposed - set(dropped)
 
 
 def beside_the_rest(
     chosen: Chosen, left: tuple[LeftOver, ...], campaign: CampaignRows
-) -> tuple[Chosen, tuple[LeftOver, ...]]:
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str], bool]:
     """The fit again beside what is left, without the terms that the records do not require beside that; what is left, with its size
-    where such a term undid a part of it. The same where nothing is left.
+    where such a term undid a part of it; what `without_opposed` tells. The same where nothing is left.
     """
     beside = [one for one in left if not _is_wander(one, chosen, campaign)]
     if not beside:
-        return chosen, left
+        return chosen, left, set(), False
     last = chosen.last
     for one in beside:
         last.searcher.add_nuisance(one.extra)
@@ -521,12 +517,13 @@ def beside_the_rest(
     noise = last.searcher.fit_noise(kept, last.noise)
     last.searcher.limit_outliers(kept, noise)
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    again, _, _ = without_opposed(settle(replace(chosen, selections=selections, fit=last.searcher.fit(kept, noise))))
-    if len(kept) < len(chosen.kept):
+    fit = last.searcher.fit(kept, noise)
+    again, opposed, beyond = without_opposed(settle(replace(chosen, selections=selections, fit=fit)))
+    if len(again.kept) < len(chosen.kept):
         wander = (one for one in left if _is_wander(one, chosen, campaign))
         sizes = (*sized(last.searcher, again.kept, noise, beside), *wander)
         left = tuple(sorted(sizes, key=lambda one: -one.rms.value))
-    return again, left
+    return again, left, opposed, beyond
 
 
 def _is_wander(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:

@@ -39,18 +39,7 @@ class Policy:
     false_structure: float = _number(
         0.002, RATE, "of a structure outside the catalogue on such a campaign", "asked for: anything said at most 2.5 %"
     )
-    winner: float = _number(
-        0.02, RATE, "in noise of the effect that wins, by itself, once any effect is significant", "set by hand"
-    )
     accepted_from: float = _number(35.0, LOG, "taken without simulating noise", "e^-35 is below any rate asked for")
-    rejected_below: float = _number(2.0, LOG, "refused without simulating noise", "set by hand; it saves time")
-    refinement: float = _number(5.0, LOG, "that refining a grid point may add", "set by hand; it saves time")
-    default_critical: float = _number(
-        12.0, LOG, "significant with a run left out, where no noise was simulated", "set by hand"
-    )
-    near_offset: float = _number(
-        0.2, NOISE, "difference of run offsets from which noise is simulated with both", "set by hand"
-    )
     # -- which of several ------------------------------------------------------------------------------------------------
     temperature: float = _number(
         2.0, SHARE, "divisor of log odds before they become confidences: no form is exactly right", "set by hand"
@@ -58,7 +47,8 @@ class Policy:
     positive: float = _number(
         2.0,
         LOG,
-        "by which another effect must be better to take the place, and against none from which an unproven one is considered",
+        "by which another effect must be better to take the place, and against none from which noise is simulated for one, or an"
+        " unproven one is considered",
         "7 to 1; 1 to 3 is called positive by Kass & Raftery, J. Am. Stat. Assoc. 90, 1995",
     )
     strong: float = _number(
@@ -81,10 +71,11 @@ class Policy:
         " and of noise that grows with the speed",
         "400 to 1: structures and noise have more freedom than a cause; of 22 tuning machines with a slow cause no pair came beyond 2",
     )
-    pair_of_none: float = _number(
+    unsimulated: float = _number(
         12.0,
         LOG,
-        "by which a pair of effects must exceed none, where neither was found by itself",
+        "by which a pair of effects must exceed none, where neither was found by itself, and with a run left out any effect, where no"
+        " noise was simulated",
         "160 000 to 1: 40 000 to 100 000 pairs are tried; of 500 machines without a cause none came so far",
     )
     no_further: float = _number(
@@ -93,7 +84,6 @@ class Policy:
         "of such a temperature below which the correction goes no further than it was seen",
         "12 to 1, from 10 machines of the study; of 20 others below it 12 followed a temperature all the same (decision 0027)",
     )
-    unseen: float = _number(1.0, LOG, "against a cause by a column that was not recorded", "set by hand")
     worst: float = _number(
         -12.0, LOG, "least of a cause in one part of the records", "set by hand: no form is exactly right"
     )
@@ -113,14 +103,12 @@ class Policy:
     shape: float = _number(
         0.35,
         SHARE,
-        "of an effect below which what is left in its own columns is its form",
+        "of an effect below which what is left in its own columns is its form, and of the largest part left below which another is the"
+        " rest of its waves",
         "forms of the study differ so much",
     )
     outgrown: float = _number(
         0.7, SHARE, "of an effect above which a structure of its columns is the cause", "half of the power"
-    )
-    minor: float = _number(
-        0.35, SHARE, "of the largest part left below which another is the rest of its waves", "set by hand"
     )
     equivalent: float = _number(
         0.9,
@@ -226,10 +214,23 @@ class Policy:
         "of each of two effects that their sum may be below, when one is there to undo the other",
         "500 machines without sensors: 4 pairs of findings are below 0.2, all of one cause",
     )
+    most_times: float = _number(
+        10.0,
+        "folds",
+        "standard deviation of an effect over that of all errors that cannot be, whatever undoes it",
+        "a table may take out most of an expansion: at 15 K from the reference temperature some five times what is left",
+    )
+    whole_opposed_from: float = _number(
+        2.0,
+        "folds",
+        "the same from which two effects that undo each other are not there, whatever a table can hold of them",
+        "a measured resolver: of 24 draws 4 had effects of 34 to 240 times all errors, 2 of 7 (decision 0032)",
+    )
     simpler: float = _number(
         1.0,
         LOG,
-        "that a pair of columns must have beyond one alone, and an effect beyond a slope of each run, to be sure",
+        "that a pair of columns must have beyond one alone, and an effect beyond a slope of each run, to be sure; against a cause by a"
+        " column that was not recorded",
         "2.7 to 1: less than that is not worth mentioning (Kass & Raftery)",
     )
     most_uneven: float = _number(
@@ -245,10 +246,26 @@ class Policy:
     most_offset: float = _number(
         0.8, NOISE, "bound of the offsets of runs: a larger one is an effect", "an earlier trial"
     )
-    prior_offset: float = _number(0.35, NOISE, "scale of the half-normal prior on them", "an earlier trial")
+    slow_noise: float = _number(
+        0.35,
+        NOISE,
+        "scale of the half-normal prior on them, and on memory that lasts longer than a few rows: more is drift, an effect",
+        "an earlier trial",
+    )
     short_memory: float = _number(1.2, NOISE, "scale of the prior on memory of a few rows", "set by hand")
-    long_memory: float = _number(0.35, NOISE, "the same where it lasts longer: that is drift, an effect", "set by hand")
-    outlier_limit: float = _number(3.2, NOISE, "of a residual, robust", "1 row in 700 of normal noise")
+    outlier_limit: float = _number(
+        3.2,
+        NOISE,
+        "of a residual, robust; beyond it a row does not tell which rows lie far off",
+        "1 row in 700 of normal noise",
+    )
+    far_off: float = _number(
+        6.0,
+        NOISE,
+        "beyond which a row lies far off: it says nothing of an effect or of the noise, and a few such rows are a cause of their own,"
+        " or part of an effect that is as large there",
+        "1 row in 5e8 of normal noise, in 150 of Student's t with three degrees of freedom",
+    )
     outlier_tail: float = _number(
         1.5, "95 % quantiles", "the same; the larger counts, so that a real bulge is kept", "set by hand"
     )

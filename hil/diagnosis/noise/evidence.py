@@ -43,12 +43,12 @@ LONG_FROM = 0.8
 
 def prior_scale(rho: float) -> float:
     """Scale of the half-normal prior on `ar`: strong noise of long correlation is drift, and so an effect."""
-    return policy().short_memory if rho <= LONG_FROM else policy().long_memory
+    return policy().short_memory if rho <= LONG_FROM else policy().slow_noise
 
 
 def log_prior(ar: float, rho: float, offset: float) -> float:
     """Log prior of the parameters of a noise model, up to a constant."""
-    return -0.5 * (ar / prior_scale(rho)) ** 2 - 0.5 * (offset / policy().prior_offset) ** 2
+    return -0.5 * (ar / prior_scale(rho)) ** 2 - 0.5 * (offset / policy().slow_noise) ** 2
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,6 @@ WEAK_CORRELATIONS = 2
 """If so many correlations in the grid do not improve on none, the stronger ones are not tried."""
 GROWTHS = np.geomspace(0.25, 16.0, 25)
 """How many times the noise at rest the fastest rows have beside it: tried."""
-FAR = 10.0
-"""Magnitude over the median beyond which a row counts as that far: seven standard deviations of normal noise."""
 
 
 class Profile:
@@ -158,7 +156,7 @@ def noise_with_speed(left_um: Floats, campaign: CampaignRows) -> Floats | None:
     if not campaign.survey.has("velocity_mm_s"):
         return None
     size, speed = np.abs(left_um), np.abs(campaign.columns["velocity_mm_s"])
-    size = np.minimum(size, FAR * float(np.median(size)))
+    size = np.minimum(size, policy().far_off * 1.4826 * float(np.median(size)))
     if not np.any(size):
         return None
     scales = 1.0 + GROWTHS[:, None] * speed / float(np.max(speed))

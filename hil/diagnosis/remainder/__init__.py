@@ -109,7 +109,7 @@ def left_over(
     ]
     largest = max((one.rms.value for one in out), default=0.0)
     return tuple(
-        sorted((one for one in out if one.rms.value >= policy().minor * largest), key=lambda one: -one.rms.value)
+        sorted((one for one in out if one.rms.value >= policy().shape * largest), key=lambda one: -one.rms.value)
     )
 
 

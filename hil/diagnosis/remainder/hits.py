@@ -43,17 +43,13 @@ DRAWS = 1999
 """Choices of signs drawn: a chance of 0.005 is then known to a third of it."""
 WORTH_DRAWING = 5.0
 """Average ratio from which the choices are drawn: of 16 machines of the study hit at random those of a chance below 0.01 have 7."""
-FAR, INSIDE = 6.0, 3.5
-"""Robust standard deviations beyond which a row lies far off, and within which the rows are that the table is fitted to."""
 HEAVIEST = 0.0065
-"""Share beyond FAR of the heaviest tails that are taken for noise: Student's t with three degrees of freedom, the fewest that have a
+"""Share far off of the heaviest tails that are taken for noise: Student's t with three degrees of freedom, the fewest that have a
 variance. One row in twenty with four times the spread has 0.0059.
 """
 TRIMMINGS = 4
 MOST_SHARE = 0.35
 """Of the rows, beyond which those outside are not the few."""
-NOT_FOLLOWED = 0.01
-"""Chance of as much, with the number of columns, from which the rows that are far off follow none."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +90,7 @@ def beside_the_bulk(null: Null, raw: Floats) -> tuple[Floats, float]:
     for _ in range(TRIMMINGS):
         off = null.linear.projection(null.noise.calm(), raw, null.beside, out).unexplained
         size = 1.4826 * float(np.median(np.abs(off[~out] - np.median(off[~out]))))
-        again = np.abs(off) > INSIDE * size
+        again = np.abs(off) > policy().outlier_limit * size
         if np.mean(again) > MOST_SHARE:
             break
         out = again
@@ -105,7 +101,7 @@ def gross_rows(null: Null, off: Floats, size: float, columns: Sequence[Variable]
     """The rows that lie far off the others, from what `beside_the_bulk` returns; None where heavy tails do as much."""
     if size <= 0.0:
         return None
-    far = np.flatnonzero(np.abs(off) > FAR * size).astype(np.int64)
+    far = np.flatnonzero(np.abs(off) > policy().far_off * size).astype(np.int64)
     probability = float(bdtrc(len(far) - 1, len(off), HEAVIEST)) if len(far) else 1.0
     if probability >= policy().false_findings:
         return None
@@ -119,7 +115,7 @@ def _followed(off: Floats, rows: NDArray[np.int64], columns: Sequence[Variable],
 
     Angles are functions of the position: another column must be clearer than that by far.
     """
-    best: tuple[float, tuple[str, ...]] = (NOT_FOLLOWED, ("row_order",))
+    best: tuple[float, tuple[str, ...]] = (policy().false_findings, ("row_order",))
     for v in columns:
         waves = v.waves(v.periods(1.0))[:, :, rows].reshape(-1, len(rows)).T
         for sign, names in ((None, (v.name,)), (d, (v.name, "direction"))):

@@ -19,7 +19,7 @@ from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projectio
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates, score
 from hil.diagnosis.search.fit import Choice
-from hil.diagnosis.search.rank import smoother
+from hil.diagnosis.search.rank import REFINEMENT, smoother
 from hil.diagnosis.search.search import Stage
 from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.search.structure import Catalogue, Structure
@@ -149,31 +149,22 @@ class NullJudge:
         top = stage.ranking[0].evidence - stage.before
         if top > policy().accepted_from:
             return True
-        if top < policy().rejected_below:
+        if top < policy().positive:
             return False
-        if self.probability(stage, searcher, chosen, noise) >= policy().false_findings:
-            return False
-        winner = stage.ranking[0].effect
-        return (
-            self.null is None
-            or winner not in self.null.maxima
-            or float(self.null.probability(winner, top)) < policy().winner
-        )
+        return self.probability(stage, searcher, chosen, noise) < policy().false_findings
 
     def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether this gain of a grid point may become significant by refinement."""
         del effect
-        return gain > policy().rejected_below - policy().refinement
+        return gain > policy().positive - REFINEMENT
 
     def probability(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> float:
         """Probability in noise alone that any effect reaches the gain of the best one."""
         key = len(chosen)
         if key not in self.asked:
             offsets = run_offsets(searcher, [*chosen, stage.ranking[0].choice], noise, self.seed)
-            typical = replace(noise, offset=float(np.median(offsets)))
-            far = abs(typical.offset - noise.offset) > policy().near_offset
             smooth = smoother(noise) if searcher.linear.rough else ()
-            noises = tuple(dict.fromkeys((noise, noise.calm(), *((typical,) if far else ()))))
+            noises = tuple(dict.fromkeys((noise, noise.calm())))
             beside = searcher.extra(chosen)
             self.asked[key] = null_maxima(
                 searcher.linear, searcher.candidates, noises, offsets, beside, seed=self.seed, smooth=smooth
@@ -219,13 +210,11 @@ class FoldJudge:
     critical: dict[str, float]
 
     def __call__(self, stage: Stage, searcher: Searcher, chosen: Sequence[Choice], noise: Noise) -> bool:
-        return any(
-            r.evidence - stage.before > self.critical.get(r.effect, policy().default_critical) for r in stage.ranking
-        )
+        return any(r.evidence - stage.before > self.critical.get(r.effect, policy().unsimulated) for r in stage.ranking)
 
     def may_become_significant(self, effect: str, gain: float) -> bool:
         """Whether this gain of a grid point may become significant by refinement."""
-        return gain > self.critical.get(effect, policy().default_critical) - policy().refinement
+        return gain > self.critical.get(effect, policy().unsimulated) - REFINEMENT
 
 
 @dataclass(frozen=True)
@@ -256,7 +245,7 @@ class StructureSearch:
 
     catalogue: Catalogue
     seed: int
-    critical: float = field(default_factory=lambda: policy().default_critical)
+    critical: float = field(default_factory=lambda: policy().unsimulated)
 
     def __call__(self, projection: Projection, linear: LinearCampaign) -> Hit | None:
         """The structure of highest gain beside the projected columns, if it is significant."""

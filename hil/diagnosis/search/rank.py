@@ -32,6 +32,8 @@ SWEEPS = 2
 """Times that the parameters of each of several choices are refined beside the others."""
 FIRST = 0.6
 """First step, as a share of the grid spacing."""
+REFINEMENT = 5.0
+"""Log odds that refining a grid point may add: what is farther below the limit is not refined."""
 MOST_EXPONENT = 700.0
 """Of it the exponential is still a number, beyond the bounds of every parameter."""
 OFFSETS = {1: (-1.0, -0.5, 0.0, 0.5, 1.0), 2: (-0.7, 0.0, 0.7)}

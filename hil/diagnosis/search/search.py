@@ -19,7 +19,7 @@ from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.fit import Choice
 from hil.diagnosis.search.pairs import best_pairs
-from hil.diagnosis.search.rank import Ranked, judged, rank, settled
+from hil.diagnosis.search.rank import REFINEMENT, Ranked, judged, rank, settled
 from hil.diagnosis.search.searcher import Searcher
 
 MOST_TERMS = 5
@@ -114,9 +114,9 @@ def with_pair(searcher: Searcher, found: Selection, fixed: int = 0) -> Selection
         return found
     worth = judged(searcher, found.choices, found.noise)
     effects = {choice.effect.id for choice in mine}
-    least = worth + (policy().pair_of_none, policy().decisive, policy().positive)[min(len(effects), 2)]
+    least = worth + (policy().unsimulated, policy().decisive, policy().positive)[min(len(effects), 2)]
     best: tuple[float, list[Choice]] | None = None
-    for pair in best_pairs(searcher, rest, found.noise, least - policy().refinement):
+    for pair in best_pairs(searcher, rest, found.noise, least - REFINEMENT):
         trial = settled(searcher, [*rest, *pair], found.noise, columns=False)
         if _is_implausible(
             searcher, trial, found.noise

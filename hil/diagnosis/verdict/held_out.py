@@ -33,10 +33,6 @@ MOST_FOLDS = 10
 """Most folds; more runs are grouped."""
 LEAST_ROWS = 3
 """Fewest rows that count as a few."""
-BEYOND_OUTLIERS = 2.0
-"""Size of an effect, over the limit of outliers, that a few rows of noise do not reach together."""
-GROSS = 10.0
-"""Robust standard deviations of a row left out beside the table alone beyond which it says nothing of an effect."""
 ONCE = frozenset({"datum_step", "beam_drift"})
 """Effects that occur once, and so cannot improve a left-out run."""
 
@@ -88,7 +84,7 @@ class HeldOut:
     def _is_worse(self, left_um: Floats) -> bool:
         if not can_be_held_out(self.how):
             return False
-        usual = np.abs(self.before) <= GROSS * 1.4826 * float(np.median(np.abs(self.before)))
+        usual = np.abs(self.before) <= policy().far_off * 1.4826 * float(np.median(np.abs(self.before)))
         with_it, without = (float(np.sum(values[usual] ** 2)) for values in (left_um, self.before))
         return bool(with_it > policy().worse_left_out ** 2 * without)
 
@@ -189,7 +185,7 @@ def on_few_rows(chosen: Chosen) -> set[str]:
     last = chosen.last
     campaign = last.searcher.linear.campaign
     few = few_of(len(campaign))
-    beyond_um = BEYOND_OUTLIERS * policy().outlier_limit * chosen.fit.white_um * math.hypot(1.0, last.noise.ar)
+    beyond_um = policy().far_off * chosen.fit.white_um * math.hypot(1.0, last.noise.ar)
     out = set()
     for name in {choice.effect.id for choice in chosen.kept}:
         mine = [choice for choice in chosen.kept if choice.effect.id == name]

@@ -178,7 +178,9 @@ def _weigh_part(
     for unseen in unseen_causes(campaign, effects):
         if _hidden(projections[0][0].prepared(unseen.design), projections[0][0].normal(unseen.design)[0]):
             continue
-        gain = max(base + projection.gain(unseen.design) for projection, base in projections) - before - policy().unseen
+        gain = (
+            max(base + projection.gain(unseen.design) for projection, base in projections) - before - policy().simpler
+        )
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
@@ -186,7 +188,7 @@ def _weigh_part(
         loose = found.get("beam_drift")
         if loose is None or hypothesis.unseen is None or not hypothesis.unseen.wanders:
             continue
-        gain = loose.gain - loose.effect.log_odds - policy().unseen
+        gain = loose.gain - loose.effect.log_odds - policy().simpler
         if hypothesis.gain < gain:
             found[hypothesis.id] = replace(hypothesis, gain=gain)
     return list(found.values())

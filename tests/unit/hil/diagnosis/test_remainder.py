@@ -30,6 +30,7 @@ from hil.diagnosis.remainder.null import Null, row_scale
 from hil.diagnosis.remainder.scan import Group, Scan, best_by_chance, scan, variables
 from hil.diagnosis.result import Carrier, Finding, NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.choose import Chosen
 from hil.diagnosis.search.fit import JointFit, Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.search.select import Selected
@@ -662,8 +663,30 @@ def test_of_two_effects_that_undo_each_other_one_goes(monkeypatch: pytest.Monkey
         beyond = diagnose(rows)
         assert all(finding.rms_um < 10.0 * whole_um for finding in beyond.findings), "larger than all errors by far"
         assert beyond.unexplained
-        monkeypatch.setattr(diagnosing, "MOST_TIMES", np.inf)
+    with in_force(replace(Policy(), opposed=0.0, most_times=np.inf)):
         assert max(finding.rms_um for finding in diagnose(rows).findings) > 20.0 * whole_um
+
+
+def test_what_is_undone_beside_the_rest_is_said_and_the_rest_sized_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = Records.of(draw("outside strong", 100_304).fit.records)
+    usual = diagnose(rows)
+    assert [finding.effect for finding in usual.findings] == ["datum_step"]
+    asked: list[Chosen] = []
+
+    def undone_at_last(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
+        asked.append(chosen)
+        if len(asked) == 1:
+            return chosen, set(), False
+        return diagnosing.refitted_without(chosen, {"datum_step"}, chosen.last.noise), {"datum_step"}, True
+
+    monkeypatch.setattr(diagnosing, "without_opposed", undone_at_last)
+    said = diagnose(rows)
+    assert len(asked) == 2
+    assert said.findings == ()
+    assert said.unexplained
+    assert any(note.startswith("datum_step does little but undo something else") for note in said.notes)
+    assert said.carriers[0].columns == usual.carriers[0].columns
+    assert said.carriers[0].rms.value != pytest.approx(usual.carriers[0].rms.value, rel=1e-3)
 
 
 def test_what_a_declared_table_lacks_is_not_held_against_what_no_table_shows() -> None:
