@@ -62,13 +62,17 @@ def test_an_ordinary_campaign(effects: tuple[str, ...], record_property: Record,
     path, out = tmp_path / "records.csv", tmp_path / "out.json"
     path.write_text(to_csv(records))
     env = installed(tmp_path / "compiled")
-    rounds = [_ran(["diagnose", str(path), "--json", str(out)], env) for _ in range(4)][1:]
-    found = json.loads(out.read_text())["findings"]
-    assert {one["effect"] for one in found} == set(effects)
-    name = f"diagnosis, {len(records)} rows × {len(keep)} columns, start included, {'+'.join(effects) or 'nothing to find'}"
-    best_s = median(seconds for seconds, _ in rounds)
-    row(record_property, name, best_s, 1.0, "s", beside="asked", asked="≤ 1")
-    assert best_s < 5.0
+    rounds, alone = [], []
+    for _ in range(4):
+        rounds.append(_ran(["diagnose", str(path), "--json", str(out)], env))
+        alone.append(float(json.loads(out.read_text())["seconds"]))
+    assert {one["effect"] for one in json.loads(out.read_text())["findings"]} == set(effects)
+    what = "+".join(effects) or "nothing to find"
+    usual_s = median(seconds for seconds, _ in rounds[1:])
+    for name, value in (("start included, ", usual_s), ("", median(alone[1:]))):
+        said = f"diagnosis, {len(records)} rows × {len(keep)} columns, {name}{what}"
+        row(record_property, said, value, 1.0, "s", beside="asked", asked="≤ 1")
+    assert usual_s < 5.0
 
 
 @cache
