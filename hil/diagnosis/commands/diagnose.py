@@ -126,9 +126,14 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
             print(f"these rows cannot show: {unseen} (why: hil campaign check)")
     else:
         print_table(
-            ["effect", "confidence", "RMS, µm", ("action", "left"), ("what", "left")],
+            ["effect", "confidence", ("action", "left"), ("what it does on these rows", "left")],
             [
-                [f.effect, f"{f.confidence:.3f}", str(Estimate(f.rms_um, f.rms_std_um)), f.action.value, f.explanation]
+                [
+                    f.effect,
+                    f"{f.confidence:.3f}",
+                    f.action.value,
+                    f"{Estimate(f.rms_um, f.rms_std_um)} µm RMS. {f.explanation}",
+                ]
                 for f in diagnosis.findings
             ],
         )
