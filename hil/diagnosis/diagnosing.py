@@ -93,13 +93,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     chosen, unexplained, dropped = without_unproven(chosen, left_out)
     chosen, few, opposed, beyond = without_resembling(chosen)
     is_saturated = _is_saturated(problem, chosen)
-    chosen, left, required, undone = _beside_the_choice(chosen, dropped, is_saturated=is_saturated)
+    chosen, left, required, undone, lost = _beside_the_choice(chosen, dropped, is_saturated=is_saturated)
     structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
     misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
     left = tuple(one for one in left if one not in misfits)
     chosen, left, opposed_there, far = beside_the_rest(chosen, left, campaign)
-    dropped, opposed = tuple(name for name in dropped if name not in required), opposed | undone | opposed_there
-    unexplained = unexplained or bool(left) or beyond or far
+    dropped, opposed = _without(dropped, required, chosen), opposed | undone | opposed_there
+    unexplained = unexplained or bool(left) or beyond or lost or far
     chosen, noise, sharper = _at_its_best(chosen, rows)
     parts = _noise_parts(chosen.fit.white_um, noise)
     found = _findings(chosen, campaign.columns, noise)
@@ -227,15 +227,21 @@ def _beside_rivals(
 
 def _beside_the_choice(
     chosen: Chosen, dropped: tuple[str, ...], *, is_saturated: bool
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str]]:
-    """What is left beside the choice, which holds the dropped effects again that it requires; their names, and those of effects taken
-    away for them.
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str], bool]:
+    """What is left beside the choice, which holds the dropped effects again that it requires; their names, those of effects taken away
+    for them, and whether one of these was larger than all errors.
     """
     last = chosen.last
     left = () if is_saturated else left_over(last.searcher, chosen.kept, last.noise, chosen.unclaimed)
     if not left or not dropped:
-        return chosen, left, set(), set()
+        return chosen, left, set(), set(), False
     return required_all_the_same(chosen, dropped, left)
+
+
+def _without(dropped: Sequence[str], required: Collection[str], chosen: Chosen) -> tuple[str, ...]:
+    """The effects that were dropped and did not come back, or not to stay."""
+    back = {choice.effect.id for choice in chosen.kept if choice.effect.id in required}
+    return tuple(name for name in dropped if name not in back)
 
 
 def _is_saturated(problem: Problem, chosen: Chosen) -> bool:
@@ -477,9 +483,9 @@ def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
 
 def required_all_the_same(
     chosen: Chosen, dropped: Collection[str], left: tuple[LeftOver, ...]
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str]]:
-    """The fit with effects that did not help on runs left out, what is left beside them, those effects, and others taken away because
-    they only undo one of these.
+) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str], bool]:
+    """The fit with effects that did not help on runs left out, what is left beside them, those effects, others taken away because they
+    only undo one of these, and whether one of those was larger than all errors.
 
     Something is left without them: it is theirs where less is left with them, as long as no function of other columns explains it
     better, and none only undoes another. Run offsets and few runs hide from such runs what all rows together show.
@@ -487,17 +493,17 @@ def required_all_the_same(
     last = chosen.last
     back = set(dropped) - beaten(last.searcher, last.choices, last.noise)
     if not back:
-        return chosen, left, back, set()
+        return chosen, left, back, set(), False
     kept = {one.effect.id for one in chosen.kept} | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
-    both, opposed, _ = without_opposed(replace(chosen, fit=last.searcher.fit(again, last.noise)))
+    both, opposed, beyond = without_opposed(replace(chosen, fit=last.searcher.fit(again, last.noise)))
     back -= opposed
     if not back:
-        return chosen, left, back, set()
+        return chosen, left, back, set(), False
     beside = left_over(last.searcher, both.kept, last.noise, both.unclaimed)
     if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
-        return chosen, left, set(), set()
-    return both, beside, back, opposed - set(dropped)
+        return chosen, left, set(), set(), False
+    return both, beside, back, opposed - set(dropped), beyond
 
 
 def beside_the_rest(

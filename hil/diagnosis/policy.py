@@ -1,9 +1,9 @@
 """Every hand-set number of the verdict, in one place: its unit, what it decides, and where it comes from.
 
-`policy()` gives the one in force. `python tests/study/policy.py` halves and doubles each and prints how the verdicts on random
-machines move; what it printed last stands in `hil/docs/policy.md`. Grids, rounds and limits of memory decide how thorough the
-search is, not what is said; they stay with the code that uses them. Bounds of a cause itself (a screw's expansion, the width of a
-worn zone) are in its effect.
+`policy()` gives the one in force. `python tests/study/policy.py` halves and doubles each, or switches its rule off, and prints how
+the verdicts on random machines move; what it printed stands in `hil/docs/policy.md`. Grids, rounds and limits of memory decide how
+thorough the search is, not what is said; they stay with the code that uses them. Bounds of a cause itself (a screw's expansion, the
+width of a worn zone) are in its effect.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ class Policy:
     false_findings: float = _number(
         0.005,
         RATE,
-        "in noise of a finding, over the whole catalogue, of a wave along a few rows, and of a note that more is left",
+        "in noise of a finding, over the whole catalogue, of a wave along a few rows, of a column that rows far off follow, and of a"
+        " note that more is left",
         "half of the 1 % asked for; of 185 weak causes two more are named than with 0.003",
     )
     false_structure: float = _number(
@@ -54,7 +55,7 @@ class Policy:
     strong: float = _number(
         3.0,
         LOG,
-        "of a richer form against the simplest, of a term beside those taken after it, of each further effect of several in place of a"
+        "of a richer form against the simplest, half of what a run must promise to separate two causes, of a term beside those taken after it, of each further effect of several in place of a"
         " wandering reading, of a smooth function of other columns against an effect, and between noise models",
         "20 to 1; the same: 3 to 5 is strong",
     )
@@ -259,15 +260,15 @@ class Policy:
         "of a residual, robust; beyond it a row does not tell which rows lie far off",
         "1 row in 700 of normal noise",
     )
+    outlier_tail: float = _number(
+        1.5, "95 % quantiles", "the same; the larger counts, so that a real bulge is kept", "set by hand"
+    )
     far_off: float = _number(
         6.0,
         NOISE,
-        "beyond which a row lies far off: it says nothing of an effect or of the noise, and a few such rows are a cause of their own,"
+        "beyond which a row lies far off: it counts no further for the noise and not for a name; a few such rows are a cause of their own,"
         " or part of an effect that is as large there",
         "1 row in 5e8 of normal noise, in 150 of Student's t with three degrees of freedom",
-    )
-    outlier_tail: float = _number(
-        1.5, "95 % quantiles", "the same; the larger counts, so that a real bulge is kept", "set by hand"
     )
     least_dof: float = _number(
         5.0, "degrees", "of freedom from which a floor is stated", "its std is then a third of it"

@@ -5,7 +5,6 @@ Errors are predicted and refitted under a known noise; nothing is random or meas
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -127,12 +126,14 @@ class Continuation:
             kind = name.split("_")[0]
             old = base.get(name)
             if SENSED.fullmatch(name) and kind in USUAL_SWING:
-                last, spread = (20.0, 1.0) if old is None else (float(old[-1]), float(np.std(old)))
+                middle, spread = (20.0, 1.0) if old is None else (float(np.mean(old)), float(np.std(old)))
+                wave = np.sin(2 * np.pi * since / WANDER_S)
                 swing = USUAL_SWING[kind] * spread
                 if old is not None and timed:
-                    swing = min(swing, math.sqrt(2.0) * _swing(base["time_s"], old, float(since[-1])))
+                    rms = _swing(self.base, old, float(since[-1]))
+                    swing = min(swing, rms / max(float(np.std(wave)), 1e-12))
                 warmth = self._warmth(since, strokes) if kind == "temp" else 0.0
-                plan[name] = last + spread * warmth + swing * np.sin(2 * np.pi * since / WANDER_S)
+                plan[name] = middle + spread * warmth + swing * (wave - np.mean(wave))
             elif old is not None and name in ("pitch_urad", "yaw_urad"):
                 order = np.argsort(base["target_mm"])
                 plan[name] = np.interp(plan["target_mm"], base["target_mm"][order], old[order])
@@ -220,18 +221,16 @@ class Continuation:
         return best[1]
 
     def _wandering(self, unseen: Unseen, so_far: Floats, later: Columns, plan: Columns) -> Floats:
-        """The column continues from its last value and varies as far as it did in as much time; by strokes, where it is a temperature,
-        and where it is logged, as far as it did at all.
+        """The column is where it was in the mean, as nobody knows where it is now, and varies as far as it did in as much time; by
+        strokes, where it is a temperature, and where it is logged, as far as it did at all.
         """
         coefficients = np.linalg.lstsq(unseen.design, so_far, rcond=1e-9)[0]
         course = unseen.courses @ coefficients
-        level, last, size = float(np.mean(course)), float(course[-1]), float(np.std(course))
+        level, size = float(np.mean(course)), float(np.std(course))
         since = plan["time_s"] - plan["time_s"][0]
         wave = np.sin(2 * np.pi * since / WANDER_S)
         if "time_s" in self.base.columns:
-            wave *= _swing(self.base.columns["time_s"], course, float(since[-1])) / max(
-                size * float(np.std(wave)), 1e-12
-            )
+            wave *= _swing(self.base, course, float(since[-1])) / max(size * float(np.std(wave)), 1e-12)
         if unseen.column in plan or (unseen.column == THERMOMETER and np.any(plan["strokes_s"] > 0)):
             size = max(size, LEAST_WANDER * abs(level))
             wave = (
@@ -241,7 +240,7 @@ class Continuation:
             )
         ahead = np.column_stack([np.ones(len(wave)), wave - wave[0]])
         drawn = response(unseen.effect, unseen.form, unseen.column, later, ahead)
-        return np.asarray(drawn @ [last, size])
+        return np.asarray(drawn @ [level, size])
 
     # -- how well rivals could follow --------------------------------------------------------------------------------------
     def _misfits(self, campaign: CampaignRows, drawn: Floats, logged: Columns | None) -> Floats:
@@ -319,11 +318,15 @@ def _apart(before: Floats, after: Floats) -> Floats:
     return np.block([[before, np.zeros((n, q))], [np.zeros((m, k)), after]])
 
 
-def _swing(time_s: Floats, course: Floats, span_s: float) -> float:
-    """How far a course of the records (n,) varies within so much time: RMS about the means of parts of that length."""
-    _, part = np.unique((time_s - time_s[0]) // max(span_s, 1.0), return_inverse=True)
-    means = np.bincount(part, course) / np.bincount(part)
-    return float(np.std(course - means[part]))
+def _swing(campaign: CampaignRows, course: Floats, span_s: float) -> float:
+    """How far a course of the rows (n,) varies within so much time: its standard deviation in parts of a run of that length."""
+    time_s = campaign.columns["time_s"]
+    start_s = np.array([np.min(time_s[campaign.run == number]) for number in range(campaign.runs)])
+    step_s = float(np.median(np.abs(np.diff(time_s))))
+    since = (time_s - start_s[campaign.run]) // max(span_s, 2.0 * step_s, 1e-9)
+    _, part, rows = np.unique(np.column_stack([campaign.run, since]), axis=0, return_inverse=True, return_counts=True)
+    off = course - (np.bincount(part.ravel(), course) / rows)[part.ravel()]
+    return float(np.sqrt(np.sum(off**2) / max(len(course) - len(rows), 1)))
 
 
 def _constant(unseen: Unseen, columns: Columns) -> Floats:

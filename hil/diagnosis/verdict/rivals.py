@@ -24,7 +24,9 @@ Floats = NDArray[np.float64]
 
 VARY_APART = "a campaign in which the columns the two read vary apart"
 ONCE_MORE = "a second campaign under other conditions: the effect predicts it, something else does not"
-"""What tells an effect from something that no effect of the catalogue explains, and of which no column is known."""
+"""What tells an effect from something that no effect of the catalogue explains."""
+RETURN = "return to one reference point several times within a run"
+"""The same of an effect that occurs once, or wanders: no campaign predicts another."""
 NOTHING: Mapping[str, Sequence[str]] = MappingProxyType({})
 WAY = ("since_reversal_mm", "stroke_mm")
 """Columns of the way to the target."""
@@ -64,7 +66,7 @@ def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
 
 def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
     """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
-    general = ONCE_MORE if rival == OUTSIDE else VARY_APART
+    general = VARY_APART if rival != OUTSIDE else RETURN if effect.id in ONCE else ONCE_MORE
     return catalogue_says(effect, rival) or (to_record(absent) if absent else general)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from hil.diagnosis import diagnose
 from hil.records.rows import Records
@@ -42,8 +43,9 @@ def test_three_rows_that_agree_are_no_finding() -> None:
     assert any("lost_motion fits a few of these rows" in note for note in found.notes)
 
 
-def test_three_rows_far_beyond_the_noise_are_a_finding() -> None:
-    found = diagnose(campaign(-8.0, 0.0))
+@pytest.mark.parametrize("at_once_um", [-3.4, -8.0])
+def test_three_rows_far_beyond_the_noise_are_a_finding(at_once_um: float) -> None:
+    found = diagnose(campaign(at_once_um, 0.0))
     assert [finding.effect for finding in found.findings] == ["lost_motion"]
 
 

@@ -8,7 +8,7 @@ import pytest
 from hil.correction.compensation import MotionHistory
 from hil.diagnosis.next.continuation import TYPICAL_OFFSET, Continuation
 from hil.diagnosis.next.feasible import feasible_runs
-from hil.diagnosis.next.next_measurement import least_told
+from hil.diagnosis.next.next_measurement import least_told, outlook
 from hil.diagnosis.next.planned_run import Means, Point, motion_columns
 from hil.diagnosis.verdict.hypotheses import joined, segments, weigh
 from hil.effects import ALL
@@ -62,9 +62,10 @@ def test_discrimination_is_what_a_refit_by_hand_leaves() -> None:
     assert drawing.discrimination(repeat)[first, second] < 1.0, "at one feed nothing sets them apart"
 
 
-def test_in_eight_minutes_no_shop_goes_as_far_as_in_six_hours() -> None:
+@pytest.mark.parametrize("seed", [1, 3, 5])
+def test_in_eight_minutes_no_shop_goes_as_far_as_in_six_hours(seed: int) -> None:
     """Growth by 1.5 K in six hours, of the screw or of air that nobody logged: the run once more hardly tells, air sensors do."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(seed)
     there = np.linspace(0.0, 1000.0, 20)
     target = np.tile(np.concatenate([there, there[::-1]]), 6)
     time_s = 90.0 * np.arange(len(target))
@@ -81,14 +82,13 @@ def test_in_eight_minutes_no_shop_goes_as_far_as_in_six_hours() -> None:
         }
     )
     flat = Model(PitchTable((0.0, 1000.0), (0.0, 0.0), (0.0, 0.0), (), ()))
-    causes = [cause for cause in weigh(records, flat, ALL) if cause.weight > 0.05]
-    assert {cause.id for cause in causes} == {"air_index", "thermal_expansion"}
-    means = Means(0.0, 1000.0, sensors=frozenset({"temp_screw_c"}))
-    drawing = Continuation(records, flat, causes, means)
-    told = {run.name: drawing.discrimination(run) for run in feasible_runs(means, first_run=7)}
-    for name in ("repeat", "shifted"):
-        assert 0.5 * (told[name][0, 1] + told[name][1, 0]) < least_told()
-    assert min(told["air"][0, 1], told["air"][1, 0]) > least_told(), "whichever it is"
+    look = outlook(records, flat, Means(0.0, 1000.0, sensors=frozenset({"temp_screw_c"})))
+    assert {cause.id for cause in look.rivals} == {"air_index", "thermal_expansion"}
+    told = {one.run.name: one.tells("air_index", "thermal_expansion") for one in look.prospects}
+    assert max(told["repeat"], told["shifted"], told["fine"]) < 0.5 * least_told()
+    best = look.best_for("air_index", "thermal_expansion")
+    assert best is not None
+    assert best.run.name == "air"
 
 
 def test_what_was_never_varied_stays_a_rival_and_what_was_does_not() -> None:

@@ -1,4 +1,4 @@
-"""The numbers of the verdict: each stated with its unit, meaning and origin, each read somewhere, and none beside them."""
+"""The numbers of the verdict: each stated with its unit, meaning and origin, each read somewhere, and on the page."""
 
 from __future__ import annotations
 
