@@ -55,7 +55,8 @@ class Policy:
     strong: float = _number(
         3.0,
         LOG,
-        "of a richer form against the simplest, half of what a run must promise to separate two causes, of a term beside those taken after it, of each further effect of several in place of a"
+        "of a richer form against the simplest, half of what a run must promise to separate two causes, of a term beside those taken"
+        " after it, of each further effect of several in place of a"
         " wandering reading, of a smooth function of other columns against an effect, and between noise models",
         "20 to 1; the same: 3 to 5 is strong",
     )
@@ -266,7 +267,8 @@ class Policy:
     far_off: float = _number(
         6.0,
         NOISE,
-        "beyond which a row lies far off: it counts no further for the noise and not for a name; a few such rows are a cause of their own,"
+        "beyond which a row lies far off: it counts no further for the noise and not for a name; a few such rows are a cause of their"
+        " own,"
         " or part of an effect that is as large there",
         "1 row in 5e8 of normal noise, in 150 of Student's t with three degrees of freedom",
     )

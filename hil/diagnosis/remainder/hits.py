@@ -44,8 +44,8 @@ DRAWS = 1999
 WORTH_DRAWING = 5.0
 """Average ratio from which the choices are drawn: of 16 machines of the study hit at random those of a chance below 0.01 have 7."""
 HEAVIEST = 0.0075
-"""Share far off (`far_off` of the policy, 6) of the heaviest tails that are taken for noise: Student's t with three degrees of freedom,
-the fewest that have a variance, where the scale is that of the rows inside `outlier_limit`, 3.2.
+"""Share far off (`far_off` of the policy, 6) of the heaviest tails that are taken for noise: Student's t with three degrees of
+freedom, the fewest that have a variance, where the scale is that of the rows inside `outlier_limit`, 3.2.
 """
 TRIMMINGS = 4
 MOST_SHARE = 0.35
