@@ -108,7 +108,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     if below_noise:
         kept = [choice for choice in chosen.kept if choice.effect.id not in below_noise]
         chosen = replace(chosen, fit=chosen.last.searcher.fit_of_unknown_noise(kept, noise))
-    doubtful = {f.effect: Estimate(f.rms_um, f.rms_std_um) for f in findings if f.doubtful}
+    doubtful = {f.effect: f.rms for f in findings if f.doubtful}
     unexplained = unexplained or bool(doubtful)
     structures = structures if unexplained else ()
     said = bool(dropped or opposed or few or below_noise or unexplained)

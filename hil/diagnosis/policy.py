@@ -56,8 +56,8 @@ class Policy:
         3.0,
         LOG,
         "of a richer form against the simplest, half of what a run must promise to separate two causes, of a term beside those taken"
-        " after it, of each further effect of several in place of a"
-        " wandering reading, of a smooth function of other columns against an effect, and between noise models",
+        " after it, of each further effect of several in place of a wandering reading, of a smooth"
+        " function of other columns against an effect, and between noise models",
         "20 to 1; the same: 3 to 5 is strong",
     )
     very_strong: float = _number(
@@ -268,8 +268,7 @@ class Policy:
         6.0,
         NOISE,
         "beyond which a row lies far off: it counts no further for the noise and not for a name; a few such rows are a cause of their"
-        " own,"
-        " or part of an effect that is as large there",
+        " own, or part of an effect that is as large there",
         "1 row in 5e8 of normal noise, in 150 of Student's t with three degrees of freedom",
     )
     least_dof: float = _number(

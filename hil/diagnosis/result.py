@@ -82,6 +82,11 @@ class Finding:
         return (self.term, *self.more)
 
     @property
+    def rms(self) -> Estimate:
+        """What it contributes to these rows, RMS, µm."""
+        return Estimate(self.rms_um, self.rms_std_um)
+
+    @property
     def summed(self) -> bool:
         """Whether several terms are one course, of which only the sum is determined: then no parameter is stated but its size."""
         return bool(self.more) and not self.term.effect.several
@@ -90,7 +95,7 @@ class Finding:
     def explanation(self) -> str:
         """The cause in a sentence with figures."""
         course = f"{self.term.effect.title}: a course of {' and '.join(self.term.needs)}"
-        size = f"{Estimate(self.rms_um, self.rms_std_um)} µm RMS over these rows and {self.peak_um:.3g} µm at most"
+        size = f"{self.rms} µm RMS over these rows and {self.peak_um:.3g} µm at most"
         if self.summed:
             only = f"{len(self.terms)} forms together fit it, so none has a coefficient of its own"
             return f"{course} that no single form of the catalogue has, {size}; {only}."
@@ -126,7 +131,7 @@ class Finding:
         the difference between those columns in the uncertainty. Bounds alone where no coefficient is determined.
         """
         if self.summed:
-            return {"rms_um": Estimate(self.rms_um, self.rms_std_um)}
+            return {"rms_um": self.rms}
         if not self.is_unstated:
             return self._fitted
         return {name: one for name, one in self._fitted.items() if name.startswith(BOUNDS)}

@@ -18,7 +18,6 @@ from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import diagnosed
 from hil.diagnosis.job import read_passes
 from hil.diagnosis.pictures import with_plots
-from hil.effects import Estimate
 from hil.effects.user_effects import attributing_errors
 
 EXAMPLE = """\
@@ -132,7 +131,7 @@ def print_diagnosis(diagnosis: Diagnosis) -> None:
                     f.effect,
                     f"{f.confidence:.3f}",
                     f.action.value,
-                    f"{Estimate(f.rms_um, f.rms_std_um)} µm RMS. {f.explanation}",
+                    f.explanation if f.summed or f.is_unstated else f"{f.rms} µm RMS. {f.explanation}",
                 ]
                 for f in diagnosis.findings
             ],

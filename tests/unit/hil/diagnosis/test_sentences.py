@@ -174,7 +174,7 @@ def runs() -> Iterator[str]:
 
 def test_what_separates_rivals_and_the_next_measurement_are_said_in_every_language() -> None:
     said = {rival.separate_by for effect in ALL for rival in effect.rivals} | {ALONE_MIN, *runs()}
-    said |= {separating(ALL[0], "some other"), separating(ALL[0], OUTSIDE)}
+    said |= {separating(ALL[0], "some other"), *(separating(effect, OUTSIDE) for effect in ALL)}
     for text in said:
         assert Texts("en").said(text) == text
         german = Texts("de").said(text)
