@@ -4,7 +4,6 @@ order.
 
 from __future__ import annotations
 
-import itertools
 import math
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -16,19 +15,17 @@ from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
-from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
+from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error
 from hil.diagnosis.policy import policy
-from hil.diagnosis.remainder import LeftOver, left_over, sized
-from hil.diagnosis.remainder.contest import beaten
+from hil.diagnosis.remainder import LeftOver, left_over
 from hil.diagnosis.remainder.null import row_scale
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
-from hil.diagnosis.search.choose import Chosen, Problem, choose, may_be_misfit, problem_of, settle
+from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of, settle
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
 from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
-from hil.diagnosis.search.select import drop
-from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes, structure_estimates
+from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes
 from hil.diagnosis.stored import can_be_held_out
 from hil.diagnosis.verdict.courses import (
     BY_TEMPERATURE,
@@ -40,12 +37,9 @@ from hil.diagnosis.verdict.courses import (
     within_what_was_seen,
 )
 from hil.diagnosis.verdict.held_out import (
-    ONCE,
     HeldOut,
     held_out,
-    improves_held_out,
     is_below_noise,
-    on_few_rows,
     suspected_note,
     unproven_choice,
 )
@@ -58,6 +52,14 @@ from hil.diagnosis.verdict.rivals import (
     weights_of,
     with_rivals,
 )
+from hil.diagnosis.verdict.sift import (
+    beside_table,
+    beside_table_um,
+    energy_beside,
+    refitted_without,
+    sift,
+    wanders,
+)
 from hil.diagnosis.verdict.unlogged import not_told_apart, unrecorded
 from hil.effects import ALL, Action, Effect, Estimate, Term
 from hil.effects.history import stand_ins
@@ -68,8 +70,6 @@ from hil.records.rows import UM_PER_MM, Records
 Floats = NDArray[np.float64]
 
 SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
-UNNAMED = ""
-"""Stands for what is left without a name, among the names of effects."""
 
 
 def diagnose(
@@ -88,19 +88,10 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     started = time.perf_counter()
     rows = AllRows.of(records, seed)
     problem, chosen = _choose(rows.searched, effects, declared, seed)
-    campaign = problem.campaign
+    campaign, is_saturated = problem.campaign, _is_saturated(problem, chosen)
     left_out = held_out(problem, chosen, rows)
-    chosen, unexplained, dropped = without_unproven(chosen, left_out)
-    chosen, few, opposed, beyond = without_resembling(chosen)
-    is_saturated = _is_saturated(problem, chosen)
-    chosen, left, required, undone, lost = _beside_the_choice(chosen, dropped, is_saturated=is_saturated)
-    structures = structure_estimates(chosen.last.searcher, chosen.hits, chosen.kept, chosen.last.noise)
-    misfits = tuple(one for one in left if _is_misfit(one, chosen, campaign))
-    left = tuple(one for one in left if one not in misfits)
-    chosen, left, opposed_there, far = beside_the_rest(chosen, left, campaign)
-    dropped, opposed = _without(dropped, required, chosen), opposed | undone | opposed_there
-    unexplained = unexplained or bool(left) or beyond or lost or far
-    chosen, noise, sharper = _at_its_best(chosen, rows)
+    sifted = sift(chosen, left_out, is_saturated=is_saturated)
+    chosen, noise, sharper = _at_its_best(sifted.chosen, rows)
     parts = _noise_parts(chosen.fit.white_um, noise)
     found = _findings(chosen, campaign.columns, noise)
     below_noise = {finding.effect: finding for finding in found if is_below_noise(finding, parts.within_run_um)}
@@ -109,9 +100,9 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         kept = [choice for choice in chosen.kept if choice.effect.id not in below_noise]
         chosen = replace(chosen, fit=chosen.last.searcher.fit_of_unknown_noise(kept, noise))
     doubtful = {f.effect: f.rms for f in findings if f.doubtful}
-    unexplained = unexplained or bool(doubtful)
-    structures = structures if unexplained else ()
-    said = bool(dropped or opposed or few or below_noise or unexplained)
+    unexplained = sifted.unexplained or bool(doubtful)
+    structures = sifted.structures if unexplained else ()
+    said = bool(sifted.missing or sifted.opposed or sifted.few or below_noise or unexplained)
     extended, courses, said_of_it = _put_into_force(problem, chosen, parts.within_run_um, rows, is_alone=not said)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     floor = pure_error(rows.columns, rows.error_um - np.sum([t.error_um(rows.columns) for t in extended.found], axis=0))
@@ -121,11 +112,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         floor, parts, len(campaign), _held(problem, noise), alike=1.0 if campaign.scale is None else alike
     )
     apart = can_be_held_out(left_out.how)
-    unpredicted = apart and not _wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
+    unpredicted = apart and not wanders(chosen) and left_out.usual_um > policy().unpredicted * explained_um
     unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts, alike)
     start = start_as_good(chosen.last.searcher, noise, chosen.kept)
-    doubted = required | _doubted(findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=bool(start))
-    carriers = tuple(_carriers(chosen, doubtful, structures, left, campaign)) if unexplained else ()
+    doubted = sifted.required | _doubted(
+        findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=bool(start)
+    )
+    carriers = tuple(_carriers(chosen, doubtful, structures, sifted.left, campaign)) if unexplained else ()
     of_course, findings = _beside_rivals(
         findings, doubted, carriers, effects=effects, records=records, campaign=campaign
     )
@@ -152,16 +145,12 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         held_out=left_out.how,
         recommended=after.rms_um < alone.rms_um,
         notes=(
-            *_notes(records, rows, dropped, after, alone, held_out=apart),
+            *_notes(records, rows, sifted.missing, after, alone, held_out=apart),
             *([SATURATED] if is_saturated else []),
-            *(f"{name} fits a few of these rows, and without them nothing of it is left: not taken" for name in few),
-            *(
-                f"{name} does little but undo something else that was fitted to these rows: not taken"
-                for name in sorted(opposed)
-            ),
+            *sifted.notes,
             *(f"{name} is not corrected: runs left out are worse with it than without" for name in sorted(worse)),
             *map(suspected_note, below_noise.values()),
-            *(_misfit_note(one) for one in misfits),
+            *sifted.misfit_notes,
             *said_of_it,
             *([start] if start else []),
             *sharper,
@@ -176,7 +165,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
         ),
     )
     fitted_um = sum((structure.error_um(rows.columns) for structure in structures), np.zeros(len(rows)))
-    told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(left))
+    told = offered(found_out, structures, left_out, fitted_um, alone, bare=extended.bare, formless=bool(sifted.left))
     return replace(told, seconds=time.perf_counter() - started)
 
 
@@ -223,25 +212,6 @@ def _beside_rivals(
     two = not_told_apart(findings, recorded, campaign.columns)
     of_course, of_name = (with_rivals(findings, doubted, unseen, one, carriers) for one in ({}, two))
     return of_course, of_name
-
-
-def _beside_the_choice(
-    chosen: Chosen, dropped: tuple[str, ...], *, is_saturated: bool
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str], bool]:
-    """What is left beside the choice, which holds the dropped effects again that it requires; their names, those of effects taken away
-    for them, and whether one of these was larger than all errors.
-    """
-    last = chosen.last
-    left = () if is_saturated else left_over(last.searcher, chosen.kept, last.noise, chosen.unclaimed)
-    if not left or not dropped:
-        return chosen, left, set(), set(), False
-    return required_all_the_same(chosen, dropped, left)
-
-
-def _without(dropped: Sequence[str], required: Collection[str], chosen: Chosen) -> tuple[str, ...]:
-    """The effects that were dropped and did not come back, or not to stay."""
-    back = {choice.effect.id for choice in chosen.kept if choice.effect.id in required}
-    return tuple(name for name in dropped if name not in back)
 
 
 def _is_saturated(problem: Problem, chosen: Chosen) -> bool:
@@ -416,146 +386,6 @@ def _suspicion(term: Term) -> str:
     )
 
 
-def without_unproven(chosen: Chosen, left_out: HeldOut) -> tuple[Chosen, bool, tuple[str, ...]]:
-    """Removes the terms that do not improve left-out runs; also returns whether the structure found does, and the
-    effects dropped.
-    """
-    last = chosen.last
-    sure = {*ONCE, *(effect for selected in chosen.selections for effect in selected.beyond(policy().accepted_from))}
-    kept = tuple(c for c in last.choices if c.effect.id in sure or improves_held_out(left_out.gain[c.effect.id]))
-    hits = chosen.hits
-    unexplained = bool(hits) and (
-        max(hit.gain for hit in hits) > policy().accepted_from or improves_held_out(left_out.structure)
-    )
-    unexplained = unexplained or last.memory is not None
-    if len(kept) == len(last.choices):
-        return chosen, unexplained, ()
-    dropped = tuple(dict.fromkeys(c.effect.id for c in last.choices if c not in kept))
-    return replace(chosen, fit=last.searcher.fit(kept, last.noise)), unexplained, dropped
-
-
-def without_resembling(chosen: Chosen) -> tuple[Chosen, set[str], set[str], bool]:
-    """Removes the effects that only resemble what the rows hold: those that undo something, those of a few rows far off, and those
-    that a function of other columns beats. Returns the names of the second kind and of the first too, and whether one of the first was
-    larger than all errors, so that what it was to explain has no cause.
-    """
-    chosen, opposed, beyond = without_opposed(chosen)
-    few = on_few_rows(chosen)
-    chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
-    lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
-    return (refitted_without(chosen, lost, chosen.last.noise) if lost else chosen), few, opposed, beyond
-
-
-def without_opposed(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
-    """Removes the effects that only undo another one, or what was found without a name; returns their names, and whether one was far
-    larger than all errors.
-
-    Two courses beside the table, both larger than the noise, are each other's opposite but for a small part, or two as they are, both
-    larger than all errors: their difference is then as large as one likes, and no other campaign has it. Of two effects the one that
-    the rows require less goes. (520 and -520 µm were fitted to errors of 1 µm.) So does one that is larger than all errors by far
-    (the policy's `most_times`): others, or the table, undo it.
-    """
-    last, opposed, beyond = chosen.last, set[str](), False
-    columns, errors_um = last.searcher.linear.campaign.columns, float(np.std(last.searcher.linear.campaign.error_um))
-    while True:
-        courses = {UNNAMED: chosen.fit.nuisance_um}
-        for term in chosen.fit.found:
-            courses[term.effect.id] = courses.get(term.effect.id, 0.0) + term.error_um(columns)
-        beside = {name: _beside_table(chosen, course_um) for name, course_um in courses.items()}
-        left: dict[tuple[str, ...], float] = {}
-        for some, noise_um in ((beside, chosen.fit.white_um), (courses, policy().whole_opposed_from * errors_um)):
-            size_um = {name: float(np.std(course_um)) for name, course_um in some.items()}
-            for one, other in itertools.combinations([name for name in some if size_um[name] > noise_um], 2):
-                share = float(np.std(some[one] + some[other])) / min(size_um[one], size_um[other])
-                left[one, other] = min(share, left.get((one, other), share))
-        pair: tuple[str, ...] = min(left, key=left.__getitem__, default=())
-        if not pair or left[pair] >= policy().opposed:
-            whole_um = {name: float(np.std(course_um)) for name, course_um in courses.items() if name != UNNAMED}
-            largest = max(whole_um, key=whole_um.__getitem__, default=UNNAMED)
-            if whole_um.get(largest, 0.0) <= policy().most_times * errors_um:
-                return chosen, opposed, beyond
-            pair, beyond = (largest,), True
-        without = {name: refitted_without(chosen, {name}, last.noise) for name in pair if name != UNNAMED}
-        less = max(without, key=lambda name: last.searcher.evidence(without[name].kept, last.noise))
-        opposed.add(less)
-        chosen = without[less]
-
-
-def required_all_the_same(
-    chosen: Chosen, dropped: Collection[str], left: tuple[LeftOver, ...]
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str], set[str], bool]:
-    """The fit with effects that did not help on runs left out, what is left beside them, those effects, others taken away because they
-    only undo one of these, and whether one of those was larger than all errors.
-
-    Something is left without them: it is theirs where less is left with them, as long as no function of other columns explains it
-    better, and none only undoes another. Run offsets and few runs hide from such runs what all rows together show.
-    """
-    last = chosen.last
-    back = set(dropped) - beaten(last.searcher, last.choices, last.noise)
-    if not back:
-        return chosen, left, back, set(), False
-    kept = {one.effect.id for one in chosen.kept} | back
-    again = [choice for choice in last.choices if choice.effect.id in kept]
-    both, opposed, beyond = without_opposed(replace(chosen, fit=last.searcher.fit(again, last.noise)))
-    back -= opposed
-    if not back:
-        return chosen, left, back, set(), False
-    beside = left_over(last.searcher, both.kept, last.noise, both.unclaimed)
-    if sum(one.rms.value for one in beside) >= sum(one.rms.value for one in left):
-        return chosen, left, set(), set(), False
-    return both, beside, back, opposed - set(dropped), beyond
-
-
-def beside_the_rest(
-    chosen: Chosen, left: tuple[LeftOver, ...], campaign: CampaignRows
-) -> tuple[Chosen, tuple[LeftOver, ...], set[str], bool]:
-    """The fit again beside what is left, without the terms that the records do not require beside that; what is left, with its size
-    where such a term undid a part of it; what `without_opposed` tells. The same where nothing is left.
-    """
-    beside = [one for one in left if not _is_wander(one, chosen, campaign)]
-    if not beside:
-        return chosen, left, set(), False
-    last = chosen.last
-    for one in beside:
-        last.searcher.add_nuisance(one.extra)
-    last.searcher.limit_outliers(chosen.kept, last.noise)
-    kept = drop(last.searcher, chosen.kept, last.noise)
-    noise = last.searcher.fit_noise(kept, last.noise)
-    last.searcher.limit_outliers(kept, noise)
-    selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
-    fit = last.searcher.fit(kept, noise)
-    again, opposed, beyond = without_opposed(settle(replace(chosen, selections=selections, fit=fit)))
-    if len(again.kept) < len(chosen.kept):
-        wander = (one for one in left if _is_wander(one, chosen, campaign))
-        sizes = (*sized(last.searcher, again.kept, noise, beside), *wander)
-        left = tuple(sorted(sizes, key=lambda one: -one.rms.value))
-    return again, left, opposed, beyond
-
-
-def _is_wander(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
-    """Whether what is left follows time alone beside a reading that wanders: any course of time is that."""
-    return _wanders(chosen) and left.columns == (campaign.survey.time_column,)
-
-
-def _is_misfit(left: LeftOver, chosen: Chosen, campaign: CampaignRows) -> bool:
-    """Whether what is left is an effect's own: small, of its columns, so that its form is not quite the machine's; or a course of time
-    that moves with no other column, beside a reading that wanders.
-    """
-    if _is_wander(left, chosen, campaign) and not left.equivalent:
-        return True
-    projection = _of_equal_rows(chosen)
-    return any(
-        may_be_misfit(left.columns, term.form, campaign.survey)
-        and left.rms.value < policy().shape * _beside_table_um(projection, term.error_um(campaign.columns))
-        for term in chosen.fit.found
-    )
-
-
-def _beside_table_um(projection: Projection, course_um: Floats) -> float:
-    """RMS over the rows of what the table cannot hold of a course of them (n,), µm."""
-    return math.sqrt(_energy_beside(projection, course_um) / len(course_um))
-
-
 def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows) -> bool:
     """Whether the table can hold most of an effect of position and direction: its size and name rest on what is left."""
     if not finding.term.effect.static:
@@ -563,41 +393,7 @@ def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows
     terms = finding.terms if finding.summed else (finding.term,)
     whole_um = np.sum([term.error_um(campaign.columns) for term in terms], axis=0)
     size_um = float(np.std(whole_um)) if finding.summed else finding.rms_um
-    return _beside_table_um(_of_equal_rows(chosen), whole_um) < policy().in_table * size_um
-
-
-def _of_equal_rows(chosen: Chosen) -> Projection:
-    """The projection without the choices, every row counted alike: for sizes in µm."""
-    searcher, noise = chosen.last.searcher, chosen.last.noise.calm()
-    linear = searcher.linear
-    if linear.campaign.scale is None:
-        return searcher.projection(noise)
-    return LinearCampaign(replace(linear.campaign, scale=None), linear.shape).projection(
-        noise, searcher.y, searcher.always
-    )
-
-
-def _energy_beside(projection: Projection, course_um: Floats) -> float:
-    """Sum of squares of what is left of a course of the rows (n,) beside everything projected out, µm², above 0."""
-    normal, _ = projection.normal(course_um[:, None])
-    return max(float(normal[0, 0]), 1e-300)
-
-
-def _beside_table(chosen: Chosen, course_um: Floats) -> Floats:
-    """What is left of a course of the rows (n,), µm, beside the table that is fitted from them."""
-    table = chosen.selections[0].searcher.linear.table
-    columns = table.stacked[:, : table.table_width]
-    return np.asarray(course_um - columns @ np.linalg.lstsq(columns, course_um, rcond=None)[0])
-
-
-def _misfit_note(left: LeftOver) -> str:
-    return f"{left.rms} µm RMS along {' × '.join(left.columns)} are left of an effect that was found: its form is not quite this"
-
-
-def refitted_without(chosen: Chosen, effects: Collection[str], noise: Noise) -> Chosen:
-    """The fit again without some effects."""
-    kept = [choice for choice in chosen.kept if choice.effect.id not in effects]
-    return replace(chosen, fit=chosen.last.searcher.fit(kept, noise))
+    return beside_table_um(chosen, whole_um) < policy().in_table * size_um
 
 
 def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tuple[Finding, ...]:
@@ -621,7 +417,7 @@ def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tu
         more = tuple(sorted(mine, key=lambda one: -float(np.std(one.error_um(columns)))))
         of_rows = np.sum([one.error_um(columns) for one in (term, *more)], axis=0)
         if more and not effect.several and effect.id in free:  # the rows determine their sum, and only beside the table
-            of_rows = _beside_table(chosen, of_rows)
+            of_rows = beside_table(chosen, of_rows)
         rms, peak = float(np.std(of_rows)), float(np.max(np.abs(of_rows - np.mean(of_rows))))
         std = rms * _unsure_of_size(chosen, effect.id, of_rows) if more else rms_of_term(term, columns).std
         follows = () if more else columns_as_good(chosen, term, noise)
@@ -657,7 +453,7 @@ def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:
     last = chosen.last
     others = [choice for choice in chosen.kept if choice.effect.id != effect]
     projection = last.searcher.projection(last.noise, last.searcher.extra(others))
-    return chosen.fit.white_um / math.sqrt(_energy_beside(projection, of_rows))
+    return chosen.fit.white_um / math.sqrt(energy_beside(projection, of_rows))
 
 
 def _carriers(
@@ -687,11 +483,6 @@ def _carriers(
     if last.memory is not None:
         found = last.memory
         yield Carrier((campaign.survey.time_column,), found.rms_um, math.exp(-found.log_odds))
-
-
-def _wanders(chosen: Chosen) -> bool:
-    """Whether an effect is a random course, which no other run can predict."""
-    return any(choice.form.shrunk for choice in chosen.kept)
 
 
 def _predicts_nothing(findings: Sequence[Finding], left_out: HeldOut, explained_um: float) -> bool:

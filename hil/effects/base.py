@@ -192,6 +192,8 @@ class Effect(ABC):
     """Whether a machine may have it more than once (two periods, two worn zones, two jumps). Two terms of any other effect are one
     course, of which only the sum is determined.
     """
+    once: ClassVar[bool] = False
+    """Occurs once, or wanders: no run predicts it in another."""
     log_odds: ClassVar[float] = 0.0
     """Prior log odds against the other effects; they decide where the records cannot."""
     least_over_noise: ClassVar[float] = 0.0

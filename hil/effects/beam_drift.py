@@ -32,6 +32,7 @@ class BeamDrift(Effect):
     id: ClassVar[str] = "beam_drift"
     title: ClassVar[str] = "wandering beam or mount"
     action: ClassVar[Action] = Action.FIX_SETUP
+    once: ClassVar[bool] = True
     log_odds: ClassVar[float] = UNSTEADY
     least_over_noise: ClassVar[float] = 0.7
     rivals: ClassVar[tuple[Rival, ...]] = (

@@ -21,6 +21,7 @@ class DatumStep(Effect):
     title: ClassVar[str] = "a jump at one moment"
     action: ClassVar[Action] = Action.RE_MEASURE
     several: ClassVar[bool] = True
+    once: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("thermal_drift", "repeat a reference point several times within a run"),
         Rival("beam_drift", "repeat a reference point several times within a run"),

@@ -130,8 +130,7 @@ class Continuation:
                 wave = np.sin(2 * np.pi * since / WANDER_S)
                 swing = USUAL_SWING[kind] * spread
                 if old is not None and timed:
-                    rms = _swing(self.base, old, float(since[-1]))
-                    swing = min(swing, rms / max(float(np.std(wave)), 1e-12))
+                    swing = min(swing, _amplitude(wave, since, self.base, old))
                 warmth = self._warmth(since, strokes) if kind == "temp" else 0.0
                 plan[name] = middle + spread * warmth + swing * (wave - np.mean(wave))
             elif old is not None and name in ("pitch_urad", "yaw_urad"):
@@ -230,7 +229,7 @@ class Continuation:
         since = plan["time_s"] - plan["time_s"][0]
         wave = np.sin(2 * np.pi * since / WANDER_S)
         if "time_s" in self.base.columns:
-            wave *= _swing(self.base, course, float(since[-1])) / max(size * float(np.std(wave)), 1e-12)
+            wave *= _amplitude(wave, since, self.base, course) / max(size, 1e-12)
         if unseen.column in plan or (unseen.column == THERMOMETER and np.any(plan["strokes_s"] > 0)):
             size = max(size, LEAST_WANDER * abs(level))
             wave = (
@@ -316,6 +315,11 @@ def _apart(before: Floats, after: Floats) -> Floats:
     """Block-diagonal columns: those for the records are 0 in the run, and the reverse."""
     (n, k), (m, q) = before.shape, after.shape
     return np.block([[before, np.zeros((n, q))], [np.zeros((m, k)), after]])
+
+
+def _amplitude(wave: Floats, since_s: Floats, campaign: CampaignRows, course: Floats) -> float:
+    """By how much a wave of a run (m,) must be multiplied to vary as far as a course of the rows (n,) did in as much time."""
+    return _swing(campaign, course, float(since_s[-1])) / max(float(np.std(wave)), 1e-12)
 
 
 def _swing(campaign: CampaignRows, course: Floats, span_s: float) -> float:

@@ -27,6 +27,11 @@ GROWTHS = np.geomspace(0.25, 16.0, 25)
 """How many times the noise at rest the fastest rows have beside it: tried."""
 
 
+def robust_std(off: Floats) -> float:
+    """Standard deviation of rows (n,) about zero, as of normal noise of their median magnitude: few that lie far off do not count."""
+    return 1.4826 * float(np.median(np.abs(off)))
+
+
 class Profile:
     """Evidence of noise parameters of one (ar, rho), from cross products alone: cheap enough to optimise over."""
 
@@ -156,7 +161,7 @@ def noise_with_speed(left_um: Floats, campaign: CampaignRows) -> Floats | None:
     if not campaign.survey.has("velocity_mm_s"):
         return None
     size, speed = np.abs(left_um), np.abs(campaign.columns["velocity_mm_s"])
-    size = np.minimum(size, policy().far_off * 1.4826 * float(np.median(size)))
+    size = np.minimum(size, policy().far_off * robust_std(left_um))
     if not np.any(size):
         return None
     scales = 1.0 + GROWTHS[:, None] * speed / float(np.max(speed))

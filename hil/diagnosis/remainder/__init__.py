@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
+from hil.diagnosis.noise.noise_fit import robust_std
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import block as blocks
 from hil.diagnosis.remainder import scan as waves
@@ -147,7 +148,7 @@ def _of_hit_rows(null: Null, columns: Sequence[Variable], d: Floats | None, raw:
         return ()
     off = off * null.scale
     rows = hit.rows
-    usual_um = 1.4826 * float(np.median(np.abs(np.delete(off, rows))))
+    usual_um = robust_std(np.delete(off, rows))
     rms = math.sqrt(max(float(np.sum(off[rows] ** 2)) - len(rows) * usual_um**2, 0.0) / len(raw))
     largest = float(np.max(np.abs(off[rows]))) / usual_um
     alone = np.zeros((len(raw), len(rows)))

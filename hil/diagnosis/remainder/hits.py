@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import bdtrc, fdtrc, logsumexp
 
+from hil.diagnosis.noise.noise_fit import robust_std
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder.block import RATIOS, Block
 from hil.diagnosis.remainder.null import Null
@@ -89,7 +90,7 @@ def beside_the_bulk(null: Null, raw: Floats) -> tuple[Floats, float]:
     off, size = raw, 0.0
     for _ in range(TRIMMINGS):
         off = null.linear.projection(null.noise.calm(), raw, null.beside, out).unexplained
-        size = 1.4826 * float(np.median(np.abs(off[~out] - np.median(off[~out]))))
+        size = robust_std(off[~out] - np.median(off[~out]))
         again = np.abs(off) > policy().outlier_limit * size
         if np.mean(again) > MOST_SHARE:
             break

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from hil.diagnosis.noise.evidence import Extra, Noise, Projection
-from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise
+from hil.diagnosis.noise.noise_fit import CORRELATIONS, fit_noise, robust_std
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates
 from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, Setting, joint_fit, joint_terms
@@ -150,9 +150,9 @@ class Searcher:
         projection = self.linear.projection(noise, self.raw, self.extra(choices), self.out)
         residual = projection.solve(np.zeros((len(self.raw), 0))).residual
         kept = residual if self.out is None else residual[~self.out]
-        size = np.abs(kept - np.median(kept))
-        robust, tail = 1.4826 * float(np.median(size)), float(np.quantile(size, 0.95))
-        limit = max(policy().outlier_limit * robust, policy().outlier_tail * tail)
+        off = kept - np.median(kept)
+        tail = float(np.quantile(np.abs(off), 0.95))
+        limit = max(policy().outlier_limit * robust_std(off), policy().outlier_tail * tail)
         excess = residual - np.clip(residual, -limit, limit)
         self.y = self.raw - projection.whitened.colour(excess) if np.any(excess) else self.raw
         self._projections.clear()

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import AllRows
+from hil.diagnosis.noise.noise_fit import robust_std
 from hil.diagnosis.policy import policy
 from hil.diagnosis.result import Finding
 from hil.diagnosis.search.choose import Chosen, Problem, choose_without
@@ -33,8 +34,6 @@ MOST_FOLDS = 10
 """Most folds; more runs are grouped."""
 LEAST_ROWS = 3
 """Fewest rows that count as a few."""
-ONCE = frozenset({"datum_step", "beam_drift"})
-"""Effects that occur once, and so cannot improve a left-out run."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +83,7 @@ class HeldOut:
     def _is_worse(self, left_um: Floats) -> bool:
         if not can_be_held_out(self.how):
             return False
-        usual = np.abs(self.before) <= policy().far_off * 1.4826 * float(np.median(np.abs(self.before)))
+        usual = np.abs(self.before) <= policy().far_off * robust_std(self.before)
         with_it, without = (float(np.sum(values[usual] ** 2)) for values in (left_um, self.before))
         return bool(with_it > policy().worse_left_out ** 2 * without)
 
@@ -152,7 +151,7 @@ def gains_without(problem: Problem, selected: Selected, out: Mask) -> dict[str, 
     whole = selected.searcher
     searcher = Searcher(whole.setting, whole.candidates, out, LIGHT)
     searcher.nuisance = whole.nuisance
-    once = any(choice.effect.id in ONCE for choice in selected.choices)
+    once = any(choice.effect.once for choice in selected.choices)
     run = (campaign.run[out][:, None] == np.unique(campaign.run[out])).astype(np.float64)
     refound = list(selected.choices)
     for i, choice in enumerate(refound):
@@ -189,7 +188,7 @@ def on_few_rows(chosen: Chosen) -> set[str]:
     out = set()
     for name in {choice.effect.id for choice in chosen.kept}:
         mine = [choice for choice in chosen.kept if choice.effect.id == name]
-        if name in ONCE or any(choice.form.shrunk for choice in mine):
+        if mine[0].effect.once or any(choice.form.shrunk for choice in mine):
             continue
         terms = [term for term in chosen.fit.found if term.effect.id == name]
         course = np.sum([term.error_um(campaign.columns) for term in terms], axis=0)
@@ -247,7 +246,7 @@ def unproven_choice(problem: Problem, chosen: Chosen) -> Choice | None:
             break
         if effect.static:
             break  # a shape along the travel that is no finding is noise: it is there in every run of the same targets
-        if effect.action is not Action.COMPENSATE or effect.id in ONCE or ranked.choice.form.shrunk:
+        if effect.action is not Action.COMPENSATE or effect.once or ranked.choice.form.shrunk:
             continue
         fold, _ = folds(problem.campaign.run)
         trial = replace(last, choices=(ranked.choice,))

@@ -25,7 +25,6 @@ from hil.diagnosis.search.choose import problem_of
 from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, start_noise, static_part
 from hil.diagnosis.search.rank import rank
 from hil.diagnosis.search.searcher import GRID, ConditionalSearch, Effort, Searcher
-from hil.diagnosis.verdict.held_out import ONCE
 from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import complete, time_column
 from hil.effects.model import Model
@@ -137,12 +136,13 @@ def weigh(
     """
     total: dict[str, float] = {}
     best: dict[str, Hypothesis] = {}
+    once = {effect.id for effect in effects if effect.once}
     for part in segments(records):
         for effect in effects:
             total.setdefault(effect.id, effect.log_odds if effect.static else 0.0)
         for hypothesis in _weigh_part(part, declared, effects, beside):
             name = hypothesis.id
-            least = 0.0 if name in ONCE else policy().worst
+            least = 0.0 if name in once else policy().worst
             total[name] += max(hypothesis.gain, least)
             best[name] = hypothesis
     gains = {name: total[name] for name in best}

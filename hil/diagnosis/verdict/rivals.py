@@ -16,7 +16,7 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.diagnosis.search.choose import Chosen
 from hil.diagnosis.search.rank import by_column
-from hil.diagnosis.verdict.held_out import ONCE, few_of
+from hil.diagnosis.verdict.held_out import few_of
 from hil.effects import Effect, Term
 from hil.effects.thermometers import TEMPERATURE, is_temperature
 
@@ -66,7 +66,7 @@ def weights_of(chosen: Chosen, effect: str) -> dict[str, float]:
 
 def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
     """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
-    general = VARY_APART if rival != OUTSIDE else RETURN if effect.id in ONCE else ONCE_MORE
+    general = VARY_APART if rival != OUTSIDE else RETURN if effect.once else ONCE_MORE
     return catalogue_says(effect, rival) or (to_record(absent) if absent else general)
 
 
@@ -107,7 +107,7 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
     thermometers = {name for name in campaign.columns if TEMPERATURE.fullmatch(name)}
     if {survey.time_column, "target_mm"} <= needs and thermometers and not needs & thermometers:
         return True
-    if finding.effect not in ONCE:
+    if not finding.term.effect.once:
         return False
     wanders = any(one.term.form.shrunk for one in findings)
     if wanders or len(finding.terms) > 1:

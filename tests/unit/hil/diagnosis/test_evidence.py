@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import CampaignRows, campaign_of, prepare
-from hil.diagnosis.diagnosing import _of_equal_rows, beyond_noise, predicted_um
+from hil.diagnosis.diagnosing import beyond_noise, predicted_um
 from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection, bayes_factor, random_gain
 from hil.diagnosis.noise.noise_fit import fit_noise, noise_with_speed
 from hil.diagnosis.noise.repeats import PureError
@@ -21,6 +21,7 @@ from hil.diagnosis.result import NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
 from hil.diagnosis.search.fit import Setting
 from hil.diagnosis.search.searcher import Searcher
+from hil.diagnosis.verdict.sift import of_equal_rows
 from hil.effects import Estimate
 from hil.effects.history import complete
 
@@ -219,7 +220,7 @@ def test_sizes_in_um_count_every_row_alike_and_repeats_by_their_own_noise() -> N
         for rows in (CAMPAIGN, weighted)
     ]
     course = COLUMNS[:, :1]
-    alike = [float(_of_equal_rows(one).normal(course)[0][0, 0]) for one in chosen]
+    alike = [float(of_equal_rows(one).normal(course)[0][0, 0]) for one in chosen]
     assert alike[1] == pytest.approx(alike[0])
     of_rest = 1.0 / math.sqrt((1.0 + 25.0) / 2.0)
     parts = NoiseParts(2.0, 0.0, 0.0, 0.0)  # all rows

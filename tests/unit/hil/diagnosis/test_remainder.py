@@ -16,7 +16,7 @@ from support.campaigns import wavy
 from support.workshop import TRAVEL_MM, Cause, Floats, workshop
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis import diagnose, diagnosing, fit_model
+from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import AllRows, CampaignRows, prepare
 from hil.diagnosis.diagnosing import exceeds_repeats, in_order, noise_of_repeats
 from hil.diagnosis.noise.evidence import Extra
@@ -34,6 +34,7 @@ from hil.diagnosis.search.choose import Chosen
 from hil.diagnosis.search.fit import JointFit, Setting, start_noise
 from hil.diagnosis.search.searcher import Searcher
 from hil.diagnosis.search.select import Selected
+from hil.diagnosis.verdict import sift
 from hil.diagnosis.verdict.courses import course_note, within_what_was_seen
 from hil.diagnosis.verdict.held_out import few_of
 from hil.diagnosis.verdict.rivals import (
@@ -43,6 +44,7 @@ from hil.diagnosis.verdict.rivals import (
     is_unsure,
     with_rivals,
 )
+from hil.diagnosis.verdict.sift import Sifted
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.model import Model, PitchTable
 from hil.effects.survey import Survey
@@ -673,13 +675,15 @@ def test_what_is_undone_beside_the_rest_is_said_and_the_rest_sized_without_it(mo
     assert [finding.effect for finding in usual.findings] == ["datum_step"]
     asked: list[Chosen] = []
 
-    def undone_at_last(chosen: Chosen) -> tuple[Chosen, set[str], bool]:
+    def undone_at_last(before: Sifted) -> Sifted:
+        chosen = before.chosen
         asked.append(chosen)
         if len(asked) == 1:
-            return chosen, set(), False
-        return diagnosing.refitted_without(chosen, {"datum_step"}, chosen.last.noise), {"datum_step"}, True
+            return before
+        less = sift.refitted_without(chosen, {"datum_step"}, chosen.last.noise)
+        return replace(before, chosen=less, opposed=frozenset({"datum_step"}), unexplained=True)
 
-    monkeypatch.setattr(diagnosing, "without_opposed", undone_at_last)
+    monkeypatch.setattr(sift, "without_opposed", undone_at_last)
     said = diagnose(rows)
     assert len(asked) == 2
     assert said.findings == ()
@@ -784,7 +788,7 @@ def test_an_effect_that_runs_left_out_do_not_prove_is_named_with_doubt_where_its
         records = records.with_column(angle, np.zeros(len(records)))
     (sure,) = diagnose(records).findings
     assert (sure.effect, sure.confidence > 0.9) == ("load_deflection", True)
-    monkeypatch.setitem(diagnose.__globals__, "improves_held_out", lambda gain: False)
+    monkeypatch.setattr(sift, "improves_held_out", lambda gain: False)
     monkeypatch.setattr(Selected, "beyond", lambda self, log_odds: set())
     said = diagnose(records)
     (finding,) = said.findings
