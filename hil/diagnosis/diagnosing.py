@@ -116,7 +116,13 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     unexplained = unexplained or unpredicted or exceeds_repeats(floor, parts, alike)
     start = start_as_good(chosen.last.searcher, noise, chosen.kept)
     doubted = sifted.required | _doubted(
-        findings, chosen, courses, left_out, unpredicted=unpredicted, has_start=bool(start)
+        findings,
+        chosen,
+        courses,
+        left_out,
+        noise_um=parts.within_run_um,
+        unpredicted=unpredicted,
+        has_start=bool(start),
     )
     carriers = tuple(_carriers(chosen, doubtful, structures, sifted.left, campaign)) if unexplained else ()
     of_course, findings = _beside_rivals(
@@ -175,12 +181,14 @@ def _doubted(
     courses: Collection[str],
     left_out: HeldOut,
     *,
+    noise_um: float,
     unpredicted: bool,
     has_start: bool,
 ) -> set[str]:
     """The effects whose names may be those of causes that nobody recorded.
 
-    courses: effects by a temperature that a course of time replaces; unpredicted: runs left out vary by more than noise explains;
+    courses: effects by a temperature that a course of time replaces; noise_um: of the rows, its standard deviation
+    unpredicted: runs left out vary by more than noise explains
     has_start: a body that starts away from what its sensor says fits as well as what was found of temperatures
     """
     campaign = chosen.last.searcher.linear.campaign
@@ -190,7 +198,7 @@ def _doubted(
         if unpredicted
         or f.effect in courses
         or (has_start and f.effect in BY_TEMPERATURE)
-        or is_unsure(f, findings, campaign)
+        or is_unsure(f, findings, campaign, noise_um)
         or f.is_implausible
         or _is_mostly_in_table(f, chosen, campaign)
         or (left_out.is_worse and f.term.effect.static)

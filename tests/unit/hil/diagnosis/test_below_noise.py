@@ -42,4 +42,4 @@ def test_a_weak_effect_with_a_clear_name_is_a_finding() -> None:
     said = diagnose(Records.of(columns))
 
     assert [finding.effect for finding in said.findings] == ["datum_step"]
-    assert said.findings[0].confidence > 0.75
+    assert 0.5 < said.findings[0].confidence < 0.9, "nor is it sure: what switches looks like a small jump"

@@ -848,7 +848,7 @@ def test_the_time_that_a_lag_reads_is_no_column_of_the_effect() -> None:
     assert is_refuted_by(finding_of("thermal_drift", "time_s"), carrier), "a course of the time itself"
 
 
-def test_a_jump_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None:
+def test_a_jump_that_is_small_or_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None:
     records, _ = workshop(31, noise_um=NOISE_UM)
     campaign = prepare(records)
     form = Form("datum_step", "step", ("time_s",))
@@ -859,16 +859,18 @@ def test_a_jump_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None
     )
     wandering = finding_of("beam_drift", "time_s")
     wandering = replace(wandering, term=replace(wandering.term, form=replace(form, effect="beam_drift", shrunk=True)))
-    assert not is_unsure(step, [step], campaign)
-    assert is_unsure(step, [step, wandering], campaign)
+    assert not is_unsure(step, [step], campaign, NOISE_UM)
+    assert is_unsure(step, [step, wandering], campaign, NOISE_UM)
+    small = replace(step, rms_um=0.9 * NOISE_UM)
+    assert is_unsure(small, [small], campaign, NOISE_UM), "of what switches a small jump is the best likeness"
     back = replace(step.term, coefficients=tuple(-value for value in step.term.coefficients))
-    assert is_unsure(replace(step, more=(back,)), [step], campaign)
-    assert is_unsure(wandering, [wandering], campaign)
+    assert is_unsure(replace(step, more=(back,)), [step], campaign, NOISE_UM)
+    assert is_unsure(wandering, [wandering], campaign, NOISE_UM)
     few = few_of(len(campaign))
     for rows, unsure in ((few, True), (few + 1, False), (len(campaign) - few, True), (len(campaign) - few - 1, False)):
         moment = float(np.mean(campaign.columns["time_s"][rows - 1 : rows + 1]))
         near_an_end = replace(step, term=replace(step.term, theta=(moment,)))
-        assert is_unsure(near_an_end, [near_an_end], campaign) is unsure
+        assert is_unsure(near_an_end, [near_an_end], campaign, NOISE_UM) is unsure
 
 
 @pytest.mark.parametrize(("ppm_per_k", "plausible"), [(12.0, True), (40.0, False)])
@@ -896,10 +898,12 @@ def test_a_course_along_the_travel_that_no_logged_temperature_shows_is_unsure() 
     )
     through = ("temp_screw_c", "time_s", "target_mm")
     by_sensor = replace(grown, term=replace(grown.term, form=Form("thermal_expansion", "lagged temperature", through)))
-    assert is_unsure(by_time, [by_time], campaign)
-    assert not is_unsure(by_sensor, [by_sensor], campaign)
+    assert is_unsure(by_time, [by_time], campaign, NOISE_UM)
+    assert not is_unsure(by_sensor, [by_sensor], campaign, NOISE_UM)
     bare = {name: values for name, values in records.columns.items() if not name.startswith("temp_")}
-    assert not is_unsure(by_time, [by_time], prepare(Records.of(bare))), "without a temperature it is the best there is"
+    assert not is_unsure(by_time, [by_time], prepare(Records.of(bare)), NOISE_UM), (
+        "without a temperature it is the best there is"
+    )
 
 
 def test_of_two_sensors_that_fit_alike_both_are_named_and_the_uncertainty_holds_both() -> None:
