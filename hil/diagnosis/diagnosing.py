@@ -22,7 +22,7 @@ from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import LeftOver, left_over
 from hil.diagnosis.remainder.null import row_scale
 from hil.diagnosis.result import Blind, Carrier, Diagnosis, Figures, Finding, NoiseParts, RivalFound
-from hil.diagnosis.search.choose import Chosen, Problem, choose, problem_of, settle
+from hil.diagnosis.search.choose import Chosen, Problem, beside_table, choose, of_equal_rows, problem_of, settle
 from hil.diagnosis.search.fit import Choice, JointFit, joint_fit
 from hil.diagnosis.search.likelihood import at_the_maximum, with_regions
 from hil.diagnosis.search.structure_estimate import StructureEstimate, rms_of_term, sizes
@@ -53,9 +53,6 @@ from hil.diagnosis.verdict.rivals import (
     with_rivals,
 )
 from hil.diagnosis.verdict.sift import (
-    beside_table,
-    beside_table_um,
-    energy_beside,
     refitted_without,
     sift,
     wanders,
@@ -102,7 +99,7 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     doubtful = {f.effect: f.rms for f in findings if f.doubtful}
     unexplained = sifted.unexplained or bool(doubtful)
     structures = sifted.structures if unexplained else ()
-    said = bool(sifted.missing or sifted.opposed or sifted.few or below_noise or unexplained)
+    said = bool(sifted.missing or any(sifted.notes) or below_noise or unexplained)
     extended, courses, said_of_it = _put_into_force(problem, chosen, parts.within_run_um, rows, is_alone=not said)
     base = declared if declared is not None else joint_fit(problem.free, problem.plain, campaign.error_um, ()).extended
     floor = pure_error(rows.columns, rows.error_um - np.sum([t.error_um(rows.columns) for t in extended.found], axis=0))
@@ -401,7 +398,7 @@ def _is_mostly_in_table(finding: Finding, chosen: Chosen, campaign: CampaignRows
     terms = finding.terms if finding.summed else (finding.term,)
     whole_um = np.sum([term.error_um(campaign.columns) for term in terms], axis=0)
     size_um = float(np.std(whole_um)) if finding.summed else finding.rms_um
-    return beside_table_um(chosen, whole_um) < policy().in_table * size_um
+    return of_equal_rows(chosen).rms_left(whole_um) < policy().in_table * size_um
 
 
 def _findings(chosen: Chosen, columns: Mapping[str, Floats], noise: Noise) -> tuple[Finding, ...]:
@@ -461,7 +458,7 @@ def _unsure_of_size(chosen: Chosen, effect: str, of_rows: Floats) -> float:
     last = chosen.last
     others = [choice for choice in chosen.kept if choice.effect.id != effect]
     projection = last.searcher.projection(last.noise, last.searcher.extra(others))
-    return chosen.fit.white_um / math.sqrt(energy_beside(projection, of_rows))
+    return chosen.fit.white_um / (projection.rms_left(of_rows) * math.sqrt(len(of_rows)))
 
 
 def _carriers(

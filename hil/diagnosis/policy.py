@@ -228,6 +228,14 @@ class Policy:
         "the same from which two effects that undo each other are not there, whatever a table can hold of them",
         "a measured resolver: of 24 draws 4 had effects of 34 to 240 times all errors, 2 of 7 (decision 0032)",
     )
+    small_jump: float = _number(
+        1.0,
+        NOISE,
+        "RMS over the rows of a jump below which its name is not sure: what switches on and off with a state or a place is often"
+        " fitted best by one jump",
+        "tuning seeds 105000 to 105499, outside weak: both sure ones below it were wrong, the one above right; 105000 to 105299, weak:"
+        " of 13 sure ones, all right, 5 are below and lose their certainty",
+    )
     simpler: float = _number(
         1.0,
         LOG,

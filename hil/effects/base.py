@@ -193,7 +193,7 @@ class Effect(ABC):
     course, of which only the sum is determined.
     """
     once: ClassVar[bool] = False
-    """Occurs once, or wanders: no run predicts it in another."""
+    """Happens once, as a jump does, or wanders at random: no run predicts it in another, so runs left out are not asked about it."""
     log_odds: ClassVar[float] = 0.0
     """Prior log odds against the other effects; they decide where the records cannot."""
     least_over_noise: ClassVar[float] = 0.0

@@ -1,6 +1,7 @@
 """The diagnosis judged on machines drawn at random (`tests/study`), whose truth shares no code with the effects that are fitted.
 
-They were drawn for this catalogue, one effect at a time: that each is found at all. Figures are those of test_grammar_study.py.
+They were drawn for this catalogue, one effect at a time, to see that each is found at all. What is published comes from
+`python tests/study/grammar`.
 """
 
 from __future__ import annotations

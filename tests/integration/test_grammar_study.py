@@ -5,6 +5,7 @@ import os
 import signal
 from functools import partial
 
+import numpy as np
 import pytest
 from distributed import LocalCluster
 from study.grammar.__main__ import main
@@ -48,12 +49,19 @@ def test_a_strong_cause_and_a_clean_machine_are_judged_by_what_the_verbs_say(tmp
     ],
 )
 def test_a_few_machines_of_each_lot_are_right_and_none_has_a_confident_wrong_name(lot: str, machines: int) -> None:
-    """Whether the figures of `python tests/study/grammar` still hold is for that; one of four may be missed by chance."""
+    """Up to a quarter may be missed, of one without a cause something said; a wrong name above 0.9 never.
+    The figures that are published come from `python tests/study/grammar`.
+    """
     numbers = SEEDS["tuning"][:machines]
     outcomes = [found for _, found in completed(partial(outcome, lot), numbers, processes=2)]
     assert [one["seed"] for one in outcomes if one.get("error") or one["confident_wrong"]] == []
     missed = [one["seed"] for one in outcomes if not right(one)]
-    assert len(missed) <= machines // 4, missed
+    assert len(missed) <= (1 if lot == "clean" else machines // 4), missed
+    if lot in ("strong", "weak", "pairs"):
+        over_true = [one["fresh_um"] / one["fresh_true_um"] for one in outcomes if not one["held"]]
+        assert np.median(over_true) < 1.05
+        inside = [is_inside for one in outcomes for is_inside in one["parameters"].values()]
+        assert np.mean(inside) >= 0.75
 
 
 @pytest.mark.slow

@@ -292,6 +292,11 @@ class Projection:
         shadow = self.shadow(w)
         return w.T @ w - shadow.T @ shadow, w.T @ self.y - shadow.T @ self.y_shadow
 
+    def rms_left(self, course: Floats) -> float:
+        """Root mean square of what is left of a course of the rows (n,) beside everything projected out, in its unit, above 0."""
+        normal, _ = self.normal(course[:, None])
+        return math.sqrt(max(float(normal[0, 0]), 1e-300) / len(course))
+
     def gain(self, z: Floats) -> float:
         """Log Bayes factor of the columns against none, by the g-prior with unit information."""
         k = z.shape[1]

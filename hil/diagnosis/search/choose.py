@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise
+from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection
 from hil.diagnosis.noise.noise_fit import fit_noise
 from hil.diagnosis.policy import policy
 from hil.diagnosis.search.candidates import Candidates, enumerate_candidates, score
@@ -145,6 +145,24 @@ class Chosen:
 def may_be_misfit(columns: Collection[str], form: Form, survey: Survey) -> bool:
     """Whether what is left in some columns may be a misfit of an effect of this form: it reads them, beside direction and time."""
     return set(columns) <= {"direction", survey.time_column, *form.inputs}
+
+
+def beside_table(chosen: Chosen, course_um: Floats) -> Floats:
+    """What is left of a course of the rows (n,), µm, beside the table that is fitted from them."""
+    table = chosen.selections[0].searcher.linear.table
+    columns = table.stacked[:, : table.table_width]
+    return np.asarray(course_um - columns @ np.linalg.lstsq(columns, course_um, rcond=None)[0])
+
+
+def of_equal_rows(chosen: Chosen) -> Projection:
+    """The projection without the choices, every row counted alike: for sizes in µm."""
+    searcher, noise = chosen.last.searcher, chosen.last.noise.calm()
+    linear = searcher.linear
+    if linear.campaign.scale is None:
+        return searcher.projection(noise)
+    return LinearCampaign(replace(linear.campaign, scale=None), linear.shape).projection(
+        noise, searcher.y, searcher.always
+    )
 
 
 def choose(problem: Problem) -> Chosen:

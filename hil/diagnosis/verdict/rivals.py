@@ -100,10 +100,8 @@ def is_at_an_end(course_um: Floats) -> bool:
 def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignRows, noise_um: float) -> bool:
     """Whether whatever nobody recorded looks like this: a jump from one run to the next, or with few rows before or after it, or
     beside a course that wanders, which is one course with it; several jumps, as a state makes them that comes and goes (of 56 such
-    findings on machines of the grammar 4 were right); one no larger than the noise of the rows, of which a jump is the best likeness
-    where a state or a place switches (tuning seeds 105000 to 105499, outside weak: 2 of 2 sure ones were wrong, above it none of 1;
-    105000 to 105299, weak: 9 of 9 right); a course in time that follows nothing; one that differs along the travel while none of the
-    temperatures that were logged shows it.
+    findings on machines of the grammar 4 were right); one that is small against the noise (the policy's `small_jump`); a course in
+    time that follows nothing; one that differs along the travel while none of the temperatures that were logged shows it.
 
     noise_um: standard deviation of the noise of the rows
     """
@@ -114,7 +112,7 @@ def is_unsure(finding: Finding, findings: Sequence[Finding], campaign: CampaignR
     if not finding.term.effect.once:
         return False
     wanders = any(one.term.form.shrunk for one in findings)
-    if wanders or len(finding.terms) > 1 or finding.rms_um < noise_um:
+    if wanders or len(finding.terms) > 1 or finding.rms_um < policy().small_jump * noise_um:
         return True
     course_um = finding.term.error_um(campaign.columns)
     return is_between_runs(course_um, campaign) or is_at_an_end(course_um)

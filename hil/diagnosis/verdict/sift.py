@@ -1,28 +1,32 @@
 """What is taken away again from what the search took, and what is then left: one rule after the other, each says what it took and why.
 
-An effect stays when it predicts runs left out, or all rows together require it, and when it does more than fit a few rows, undo
-another effect, or stand in for a function of other columns.
+An effect stays where it predicts runs left out, cannot do so by its kind (it occurs once), is beyond doubt on all rows, or leaves less
+without a name. It goes all the same where it
+- fits a few rows only,
+- does little but undo another effect, or what was found without a name,
+- is explained better by a function of other columns,
+- or is not required beside what is left.
 """
 
 from __future__ import annotations
 
 import itertools
-import math
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
+from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.policy import policy
 from hil.diagnosis.remainder import LeftOver, left_over, sized
 from hil.diagnosis.remainder.contest import beaten
-from hil.diagnosis.search.choose import Chosen, may_be_misfit, settle
+from hil.diagnosis.search.choose import Chosen, beside_table, may_be_misfit, of_equal_rows, settle
 from hil.diagnosis.search.select import drop
 from hil.diagnosis.search.structure_estimate import StructureEstimate, structure_estimates
 from hil.diagnosis.verdict.held_out import HeldOut, improves_held_out, on_few_rows
+from hil.effects import Term
 
 Floats = NDArray[np.float64]
 
@@ -34,11 +38,12 @@ UNNAMED = ""
 class Sifted:
     """A choice, the effects taken away from it by why, and what is left beside it.
 
-    unproven: they do not improve runs left out; required: of these, those that came back, as what was left is theirs
+    unproven: they do not improve runs left out; required: of these, those that were put back, because less is left with them
     few: they fit a few rows, and without those nothing of them is left; opposed: they do little but undo something else
-    unneeded: the records do not require them beside what is left
-    left: of whatever form and nobody's, largest first; misfits: the same of an effect whose form is not quite this
-    structures: found on the way, with their parameters
+    outdone: a function of other columns explains better what they do; unneeded: not required beside what is left
+    left: what is left that no effect of the fit may have, largest first
+    misfits: what is left in the columns of an effect that was found, whose form is not quite the machine's
+    structures: smooth functions that the search fitted on the way
     unexplained: something has no cause, whether its columns are known (left) or not
     """
 
@@ -47,6 +52,7 @@ class Sifted:
     required: frozenset[str] = frozenset()
     few: frozenset[str] = frozenset()
     opposed: frozenset[str] = frozenset()
+    outdone: frozenset[str] = frozenset()
     unneeded: frozenset[str] = frozenset()
     left: tuple[LeftOver, ...] = ()
     misfits: tuple[LeftOver, ...] = ()
@@ -54,29 +60,25 @@ class Sifted:
     unexplained: bool = False
 
     @property
-    def names(self) -> set[str]:
-        """The effects of the fit."""
+    def effects(self) -> set[str]:
+        """Ids of the effects of the fit."""
         return {choice.effect.id for choice in self.chosen.kept}
 
     @property
     def missing(self) -> tuple[str, ...]:
         """The unproven effects that did not come back, or not to stay."""
-        return tuple(name for name in self.unproven if name not in self.required & self.names)
+        return tuple(name for name in self.unproven if name not in self.required & self.effects)
 
     @property
     def notes(self) -> Iterator[str]:
-        """What was taken away, a line for each effect; the unproven ones and misfits are not among it."""
-        yield from (
-            f"{name} fits a few of these rows, and without them nothing of it is left: not taken"
-            for name in sorted(self.few)
-        )
-        yield from (
-            f"{name} does little but undo something else that was fitted to these rows: not taken"
-            for name in sorted(self.opposed)
-        )
-        yield from (
-            f"{name} is not required beside what is left unexplained: not taken" for name in sorted(self.unneeded)
-        )
+        """What was taken away, a line for each effect but the `missing` ones."""
+        for names, why in (
+            (self.few, "fits a few of these rows, and without them nothing of it is left"),
+            (self.opposed, "does little but undo something else that was fitted to these rows"),
+            (self.outdone, "is explained better by a function of other columns"),
+            (self.unneeded, "is not required beside what is left unexplained"),
+        ):
+            yield from (f"{name} {why}: not taken" for name in sorted(names - set(self.missing)))
 
     @property
     def misfit_notes(self) -> Iterator[str]:
@@ -94,21 +96,28 @@ def sift(chosen: Chosen, left_out: HeldOut, *, is_saturated: bool) -> Sifted:
     is_saturated: the table leaves no rows to tell anything else by, so nothing is left
     """
     proven = without_resembling(without_unproven(chosen, left_out))
-    beside = proven if is_saturated else required_all_the_same(_with_rest(proven))
+    beside = proven if is_saturated else with_those_required(_with_rest(proven))
     last = beside.chosen.last
     structures = structure_estimates(last.searcher, beside.chosen.hits, beside.chosen.kept, last.noise)
-    misfits = tuple(one for one in beside.left if _is_misfit(one, beside.chosen))
-    nobodys = tuple(one for one in beside.left if one not in misfits)
-    whole = beside_the_rest(replace(beside, left=nobodys, misfits=misfits, structures=structures))
-    if whole.names != beside.names:  # of an effect that is gone nothing is a misfit
-        misfits = tuple(one for one in misfits if _is_misfit(one, whole.chosen))
-        orphans = tuple(one for one in whole.misfits if one not in misfits)
-        whole = replace(whole, left=(*whole.left, *orphans), misfits=misfits)
+    misfits, nobodys = _parted(beside.left, lambda one: _is_misfit(one, beside.chosen))
+    whole = beside_the_rest(replace(beside, left=nobodys, misfits=misfits, structures=structures), nobodys)
+    misfits, orphans = _parted(misfits, lambda one: _may_be_of(one, whole.chosen))
+    if orphans:  # the effect went of which they were a misfit
+        whole = beside_the_rest(replace(whole, left=(*whole.left, *orphans), misfits=misfits), orphans)
     return replace(whole, unexplained=whole.unexplained or bool(whole.left))
 
 
+def _parted(
+    left: Sequence[LeftOver], is_first: Callable[[LeftOver], bool]
+) -> tuple[tuple[LeftOver, ...], tuple[LeftOver, ...]]:
+    first = [is_first(one) for one in left]
+    return tuple(itertools.compress(left, first)), tuple(itertools.compress(left, [not one for one in first]))
+
+
 def without_unproven(chosen: Chosen, left_out: HeldOut) -> Sifted:
-    """Without the terms that do not improve left-out runs; unexplained where the structure that was found does."""
+    """Without the terms that do not improve runs left out. Unexplained where a structure that the search found is beyond doubt, or
+    improves them, or where the noise has a long memory.
+    """
     last = chosen.last
     sure = {effect for selected in chosen.selections for effect in selected.beyond(policy().accepted_from)}
     kept = tuple(
@@ -134,7 +143,7 @@ def without_resembling(before: Sifted) -> Sifted:
     chosen = refitted_without(chosen, few, chosen.last.noise) if few else chosen
     lost = beaten(chosen.last.searcher, chosen.kept, chosen.last.noise)
     chosen = refitted_without(chosen, lost, chosen.last.noise) if lost else chosen
-    return replace(apart, chosen=chosen, few=frozenset(few))
+    return replace(apart, chosen=chosen, few=frozenset(few), outdone=frozenset(lost))
 
 
 def without_opposed(before: Sifted) -> Sifted:
@@ -174,15 +183,16 @@ def without_opposed(before: Sifted) -> Sifted:
 
 
 def _with_rest(before: Sifted) -> Sifted:
+    """The same with what is left beside the effects of its fit."""
     last = before.chosen.last
     return replace(before, left=left_over(last.searcher, before.chosen.kept, last.noise, before.chosen.unclaimed))
 
 
-def required_all_the_same(before: Sifted) -> Sifted:
-    """With the unproven effects that what is left requires, and without others that only undo one of these.
+def with_those_required(before: Sifted) -> Sifted:
+    """With the unproven effects put back with which less is left, and without others that only undo one of these.
 
-    Something is left without them: it is theirs where less is left with them, as long as no function of other columns explains it
-    better, and none only undoes another. Run offsets and few runs hide from such runs what all rows together show.
+    None comes back that a function of other columns explains better, or that only undoes another. Run offsets, and few runs, hide from
+    runs left out what all rows together show.
     """
     chosen, last = before.chosen, before.chosen.last
     if not before.left or not before.unproven:
@@ -190,7 +200,7 @@ def required_all_the_same(before: Sifted) -> Sifted:
     back = set(before.unproven) - beaten(last.searcher, last.choices, last.noise)
     if not back:
         return before
-    kept = before.names | back
+    kept = before.effects | back
     again = [choice for choice in last.choices if choice.effect.id in kept]
     both = without_opposed(replace(before, chosen=replace(chosen, fit=last.searcher.fit(again, last.noise))))
     back -= both.opposed
@@ -203,16 +213,18 @@ def required_all_the_same(before: Sifted) -> Sifted:
     return replace(beside, required=frozenset(back), opposed=opposed)
 
 
-def beside_the_rest(before: Sifted) -> Sifted:
-    """The fit again beside what is left, without the terms that the records do not require beside that; what is left then with its
-    size, where such a term undid a part of it. The same where nothing is left.
+def beside_the_rest(before: Sifted, new: Sequence[LeftOver]) -> Sifted:
+    """The fit again beside what is left, without the terms that the records do not require beside that. Where a term went, what is
+    left is sized again, as the term may have undone a part of it.
+
+    new: what of it is not in the fit so far; the same is returned where that is nothing
     """
     chosen = before.chosen
-    beside = [one for one in before.left if not _is_wander(one, chosen)]
-    if not beside:
+    new = [one for one in new if not _is_wander(one, chosen)]
+    if not new:
         return before
     last = chosen.last
-    for one in beside:
+    for one in new:
         last.searcher.add_nuisance(one.extra)
     last.searcher.limit_outliers(chosen.kept, last.noise)
     kept = drop(last.searcher, chosen.kept, last.noise)
@@ -221,12 +233,12 @@ def beside_the_rest(before: Sifted) -> Sifted:
     selections = (*chosen.selections[:-1], replace(last, choices=tuple(kept), noise=noise))
     fit = last.searcher.fit(kept, noise)
     again = without_opposed(replace(before, chosen=settle(replace(chosen, selections=selections, fit=fit))))
-    if len(again.chosen.kept) == len(chosen.kept):
+    wander, beside = _parted(before.left, lambda one: _is_wander(one, chosen))
+    if len(again.chosen.kept) == len(chosen.kept) and len(beside) == len(new):
         return again
-    wander = (one for one in before.left if _is_wander(one, chosen))
     sizes = (*sized(last.searcher, again.chosen.kept, noise, beside), *wander)
-    gone = before.names - again.names - again.opposed - set(before.unproven)
-    return replace(again, left=tuple(sorted(sizes, key=lambda one: -one.rms.value)), unneeded=frozenset(gone))
+    gone = before.effects - again.effects - again.opposed - set(before.unproven)
+    return replace(again, left=tuple(sorted(sizes, key=lambda one: -one.rms.value)), unneeded=before.unneeded | gone)
 
 
 def _is_wander(left: LeftOver, chosen: Chosen) -> bool:
@@ -249,41 +261,21 @@ def _is_misfit(left: LeftOver, chosen: Chosen) -> bool:
     """
     if _is_wander(left, chosen) and not left.equivalent:
         return True
-    campaign = _campaign(chosen)
+    columns, projection = _campaign(chosen).columns, of_equal_rows(chosen)
     return any(
-        may_be_misfit(left.columns, term.form, campaign.survey)
-        and left.rms.value < policy().shape * beside_table_um(chosen, term.error_um(campaign.columns))
+        _is_in_columns(left, term, chosen)
+        and left.rms.value < policy().shape * projection.rms_left(term.error_um(columns))
         for term in chosen.fit.found
     )
 
 
-def beside_table_um(chosen: Chosen, course_um: Floats) -> float:
-    """RMS over the rows of what the table cannot hold of a course of them (n,), every row counted alike, µm."""
-    return math.sqrt(energy_beside(of_equal_rows(chosen), course_um) / len(course_um))
+def _may_be_of(misfit: LeftOver, chosen: Chosen) -> bool:
+    """Whether an effect is still in the fit of which this is a misfit."""
+    return _is_wander(misfit, chosen) or any(_is_in_columns(misfit, term, chosen) for term in chosen.fit.found)
 
 
-def of_equal_rows(chosen: Chosen) -> Projection:
-    """The projection without the choices, every row counted alike: for sizes in µm."""
-    searcher, noise = chosen.last.searcher, chosen.last.noise.calm()
-    linear = searcher.linear
-    if linear.campaign.scale is None:
-        return searcher.projection(noise)
-    return LinearCampaign(replace(linear.campaign, scale=None), linear.shape).projection(
-        noise, searcher.y, searcher.always
-    )
-
-
-def energy_beside(projection: Projection, course_um: Floats) -> float:
-    """Sum of squares of what is left of a course of the rows (n,) beside everything projected out, µm², above 0."""
-    normal, _ = projection.normal(course_um[:, None])
-    return max(float(normal[0, 0]), 1e-300)
-
-
-def beside_table(chosen: Chosen, course_um: Floats) -> Floats:
-    """What is left of a course of the rows (n,), µm, beside the table that is fitted from them."""
-    table = chosen.selections[0].searcher.linear.table
-    columns = table.stacked[:, : table.table_width]
-    return np.asarray(course_um - columns @ np.linalg.lstsq(columns, course_um, rcond=None)[0])
+def _is_in_columns(left: LeftOver, term: Term, chosen: Chosen) -> bool:
+    return may_be_misfit(left.columns, term.form, _campaign(chosen).survey)
 
 
 def refitted_without(chosen: Chosen, effects: Collection[str], noise: Noise) -> Chosen:

@@ -19,9 +19,9 @@ from hil.diagnosis.noise.noise_fit import fit_noise, noise_with_speed
 from hil.diagnosis.noise.repeats import PureError
 from hil.diagnosis.result import NoiseParts
 from hil.diagnosis.search.candidates import enumerate_candidates
+from hil.diagnosis.search.choose import of_equal_rows
 from hil.diagnosis.search.fit import Setting
 from hil.diagnosis.search.searcher import Searcher
-from hil.diagnosis.verdict.sift import of_equal_rows
 from hil.effects import Estimate
 from hil.effects.history import complete
 
@@ -220,7 +220,7 @@ def test_sizes_in_um_count_every_row_alike_and_repeats_by_their_own_noise() -> N
         for rows in (CAMPAIGN, weighted)
     ]
     course = COLUMNS[:, :1]
-    alike = [float(of_equal_rows(one).normal(course)[0][0, 0]) for one in chosen]
+    alike = [of_equal_rows(one).rms_left(course[:, 0]) for one in chosen]
     assert alike[1] == pytest.approx(alike[0])
     of_rest = 1.0 / math.sqrt((1.0 + 25.0) / 2.0)
     parts = NoiseParts(2.0, 0.0, 0.0, 0.0)  # all rows

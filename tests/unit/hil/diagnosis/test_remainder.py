@@ -862,7 +862,9 @@ def test_a_jump_that_is_small_or_beside_a_course_that_wanders_or_another_jump_is
     assert not is_unsure(step, [step], campaign, NOISE_UM)
     assert is_unsure(step, [step, wandering], campaign, NOISE_UM)
     small = replace(step, rms_um=0.9 * NOISE_UM)
-    assert is_unsure(small, [small], campaign, NOISE_UM), "of what switches a small jump is the best likeness"
+    assert is_unsure(small, [small], campaign, NOISE_UM), "what switches on and off may be fitted best by one jump"
+    large = replace(step, rms_um=1.1 * NOISE_UM)
+    assert not is_unsure(large, [large], campaign, NOISE_UM)
     back = replace(step.term, coefficients=tuple(-value for value in step.term.coefficients))
     assert is_unsure(replace(step, more=(back,)), [step], campaign, NOISE_UM)
     assert is_unsure(wandering, [wandering], campaign, NOISE_UM)
