@@ -49,7 +49,8 @@ def test_a_strong_cause_and_a_clean_machine_are_judged_by_what_the_verbs_say(tmp
     ],
 )
 def test_a_few_machines_of_each_lot_are_right_and_none_has_a_confident_wrong_name(lot: str, machines: int) -> None:
-    """Up to a quarter may be missed, of one without a cause something said; a wrong name above 0.9 never.
+    """Up to a quarter may be missed, and of one machine without a cause something may be said; a wrong name above 0.9 never is.
+
     The figures that are published come from `python tests/study/grammar`.
     """
     numbers = SEEDS["tuning"][:machines]

@@ -65,6 +65,7 @@ OFF = {
     "outlier_tail": NEVER,
     "least_confidence": NEVER,
     "sure_name": NEVER,
+    "small_jump": NEVER,
     "wander": NEVER,
 }
 """The value of a number with which its rule does nothing."""
