@@ -214,7 +214,8 @@ def _beside_rivals(
     """The findings as sure as their courses, then as sure as their names: a course that two causes share is explained all the same."""
     recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
     unseen = unrecorded(effects, campaign.survey, recorded)
-    two = not_told_apart(findings, recorded, campaign.columns)
+    two = {finding.effect: finding.term.effect.stands_for(finding.term.form) for finding in findings}
+    two |= not_told_apart(findings, recorded, campaign.columns)
     of_course, of_name = (with_rivals(findings, doubted, unseen, one, carriers) for one in ({}, two))
     return of_course, of_name
 

@@ -264,6 +264,11 @@ class Effect(ABC):
         del form, theta
         return False
 
+    def stands_for(self, form: Form) -> tuple[str, ...]:
+        """Ids of other effects that a form is rich enough to imitate, so that its name is not sure beside theirs; usually none."""
+        del form
+        return ()
+
     def implausible(self, term: Term) -> str | None:
         """Why no machine behaves like this (sign, range), or None. The effect's weight is lowered and its name stays in doubt; it is
         not excluded.

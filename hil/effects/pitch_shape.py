@@ -14,7 +14,8 @@ from numpy.polynomial import legendre
 from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, Rival, Term
 from hil.effects.survey import Survey
 
-ORDERS = {"lead error": 1, "bow": 3, "shape": 6, "fine shape": 12}
+FINE = "fine shape"
+ORDERS = {"lead error": 1, "bow": 3, "shape": 6, FINE: 12}
 """Form -> highest Legendre order."""
 
 
@@ -44,6 +45,12 @@ class PitchShape(Effect):
         u = (columns["target_mm"] - form.constants["centre_mm"]) / form.constants["half_span_mm"]
         values = legendre.legvander(np.clip(u, -1.1, 1.1), ORDERS[form.name])[:, 1:]
         return np.asarray(values, dtype=np.float64)
+
+    def stands_for(self, form: Form) -> tuple[str, ...]:
+        """What stands in a tenth of the travel takes the twelfth order (tuning seeds 106000 to 107999, older tables: 31 smooth shapes
+        took the sixth or less, both of the twelfth were wear).
+        """
+        return ("local_wear", "cyclic") if form.name == FINE else ()
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
         scale = 1e3 / term.form.constants["half_span_mm"]

@@ -709,6 +709,18 @@ def test_what_a_declared_table_lacks_is_not_held_against_what_no_table_shows() -
     assert float(np.std(said.residual_um)) < 0.33
 
 
+def test_a_shape_of_the_twelfth_order_may_be_wear_or_a_cycle() -> None:
+    """Wear that an older table lacks; a smooth shape that it lacks is sure."""
+    for seed, rivals in ((107_582, {"local_wear", "cyclic"}), (107_166, set())):
+        drawn = draw("strong", seed)
+        assert drawn.older is not None
+        (finding,) = diagnose(Records.of(drawn.fit.records), fit_model(Records.of(drawn.older.records))).findings
+        assert finding.effect == "pitch_shape"
+        assert (finding.confidence > 0.9) is not bool(rivals)
+        assert {rival.effect for rival in finding.rivals} == rivals
+        assert "a dense local pass" in [rival.separate_by for rival in finding.rivals] or not rivals
+
+
 def test_what_carries_the_rest_is_said_in_one_line() -> None:
     carrier = Carrier(("temp_bed_c", "target_mm"), Estimate(1.25, 0.1), 1e-6, {"temp_bed_c": ("air_temp_c", "time_s")})
     assert str(carrier) == "temp_bed_c (or equivalent: air_temp_c, time_s) × target_mm, 1.25 ± 0.2 µm RMS", "± is k = 2"
