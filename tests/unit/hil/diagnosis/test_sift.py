@@ -126,3 +126,13 @@ def test_a_misfit_of_an_effect_that_went_is_left_in_the_fit_and_sized(monkeypatc
     assert said.unexplained
     columns = searchers[0].nuisance.random
     assert any(np.allclose(columns[:, -one.extra.random.shape[1] :], one.extra.random) for one in found.left[:1])
+
+
+def test_what_a_function_of_other_columns_explains_better_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, usual = sifted_of(monkeypatch, "strong", 100_000)
+    (finding,) = usual.findings
+    monkeypatch.setattr(sift, "beaten", lambda searcher, choices, noise: {finding.effect})
+    found, said = sifted_of(monkeypatch, "strong", 100_000)
+    assert found.outdone == {finding.effect}
+    assert finding.effect not in {one.effect for one in said.findings}
+    assert f"{finding.effect} is explained better by a function of other columns: not taken" in said.notes
