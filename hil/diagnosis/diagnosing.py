@@ -52,11 +52,7 @@ from hil.diagnosis.verdict.rivals import (
     weights_of,
     with_rivals,
 )
-from hil.diagnosis.verdict.sift import (
-    refitted_without,
-    sift,
-    wanders,
-)
+from hil.diagnosis.verdict.sift import refitted_without, sift, wanders
 from hil.diagnosis.verdict.unlogged import not_told_apart, unrecorded
 from hil.effects import ALL, Action, Effect, Estimate, Term
 from hil.effects.history import stand_ins
@@ -214,9 +210,9 @@ def _beside_rivals(
     """The findings as sure as their courses, then as sure as their names: a course that two causes share is explained all the same."""
     recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
     unseen = unrecorded(effects, campaign.survey, recorded)
-    two = {finding.effect: finding.term.effect.stands_for(finding.term.form) for finding in findings}
-    two |= not_told_apart(findings, recorded, campaign.columns)
-    of_course, of_name = (with_rivals(findings, doubted, unseen, one, carriers) for one in ({}, two))
+    two = not_told_apart(findings, recorded, campaign.columns)
+    alike = {f.effect: (*two.get(f.effect, ()), *f.term.effect.stands_for(f.term.form)) for f in findings}
+    of_course, of_name = (with_rivals(findings, doubted, unseen, one, carriers) for one in ({}, alike))
     return of_course, of_name
 
 

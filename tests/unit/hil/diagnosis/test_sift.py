@@ -28,14 +28,20 @@ def sifted_of(monkeypatch: pytest.MonkeyPatch, lot: str, seed: int) -> tuple[Sif
     return found[-1], said
 
 
-def test_what_is_left_brings_an_unproven_effect_back(monkeypatch: pytest.MonkeyPatch) -> None:
+def opposed_when_put_back(monkeypatch: pytest.MonkeyPatch, *effects: str) -> list[Sifted]:
+    """Lets `without_opposed` name these at its second call, which is with the unproven effects put back; what it was asked."""
     real, asked = sift.without_opposed, list[Sifted]()
 
     def one_more(before: Sifted) -> Sifted:
         asked.append(before)
-        found = real(before)  # the first call is before anything comes back
-        return replace(found, opposed=found.opposed | {"cosine", "cyclic"}) if len(asked) == 2 else found
+        found = real(before)
+        return replace(found, opposed=found.opposed | {*effects}) if len(asked) == 2 else found
 
+    monkeypatch.setattr(sift, "without_opposed", one_more)
+    return asked
+
+
+def test_what_is_left_brings_an_unproven_effect_back(monkeypatch: pytest.MonkeyPatch) -> None:
     found, said = sifted_of(monkeypatch, "outside strong", 108_030)
     assert found.unproven == ("cyclic",)
     assert found.required == {"cyclic"}
@@ -44,7 +50,7 @@ def test_what_is_left_brings_an_unproven_effect_back(monkeypatch: pytest.MonkeyP
     assert "cyclic" in {finding.effect for finding in said.findings}
     assert not any(note.startswith("cyclic fits these rows") for note in said.notes)
     assert any(note.startswith("thermal_expansion does little but undo") for note in said.notes)
-    monkeypatch.setattr(sift, "without_opposed", one_more)
+    asked = opposed_when_put_back(monkeypatch, "cosine", "cyclic")
     found, said = sifted_of(monkeypatch, "outside strong", 108_030)
     assert len(asked) >= 2
     assert found.required == frozenset(), "it only undoes something else"
@@ -53,14 +59,7 @@ def test_what_is_left_brings_an_unproven_effect_back(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 def test_what_only_undoes_an_effect_that_came_back_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    real, asked = sift.without_opposed, list[Sifted]()
-
-    def one_more(before: Sifted) -> Sifted:
-        asked.append(before)
-        found = real(before)
-        return replace(found, opposed=found.opposed | {"cosine"}) if len(asked) == 2 else found
-
-    monkeypatch.setattr(sift, "without_opposed", one_more)
+    opposed_when_put_back(monkeypatch, "cosine")
     found, said = sifted_of(monkeypatch, "outside strong", 108_030)
     assert found.required == {"cyclic"}
     assert found.opposed == {"thermal_expansion", "cosine"}
