@@ -40,9 +40,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure() -> None:
-    """A shell starts background jobs with SIGINT ignored, and so would be every process that a test interrupts."""
+    """Signals that the shell has set to be ignored (nohup, a background job) are put back for the processes that tests start.
+
+    A handler of Python's is not inherited by them, so that this process itself goes on under nohup.
+    """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)
 
 
 @pytest.hookimpl(optionalhook=True)

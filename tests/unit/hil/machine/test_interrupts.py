@@ -13,7 +13,6 @@ from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 PROGRAM = """
 import ctypes, os, signal, sys, threading, time
-signal.signal(signal.SIGHUP, signal.SIG_DFL)  # also where the tests were started by nohup
 from hil.machine.interrupts import ending_by_signals
 from hil.machine.interrupts import stopped_by_signals
 
@@ -42,10 +41,18 @@ class Program:
     """The program above, whose signals and lines are counted."""
 
     def __init__(
-        self, *, hangs: str = "pass", stop: str = "pass", work: str = "time.sleep(60)", way_out: str = "hangs()"
+        self,
+        *,
+        hangs: str = "pass",
+        stop: str = "pass",
+        work: str = "time.sleep(60)",
+        way_out: str = "hangs()",
+        by: tuple[str, ...] = (),
     ) -> None:
         text = PROGRAM.format(hangs=hangs, stop=stop, work=work, way_out=way_out)
-        self.process = subprocess.Popen([sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        self.process = subprocess.Popen(
+            [*by, sys.executable, "-c", text], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
         self.says(b"ready")
 
     def __enter__(self) -> Program:
@@ -197,4 +204,13 @@ def test_signals_that_another_handler_answers_are_not_counted() -> None:
         program.asked()
         program.says(b"way out")
         program.says(b"all put back")
+        assert ENDED not in program.ended()[2]
+
+
+def test_a_signal_that_the_shell_set_to_be_ignored_stays_so() -> None:
+    hangs_up = "signal.raise_signal(signal.SIGHUP); os.write(1, b'goes on\\n'); time.sleep(60)"
+    with Program(work=hangs_up, way_out="pass", by=("nohup",)) as program:
+        program.says(b"goes on")
+        program.asked()
+        program.says(b"way out")
         assert ENDED not in program.ended()[2]
