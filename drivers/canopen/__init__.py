@@ -14,9 +14,8 @@ From the wire up:
     stopping      sampling, stopping, taking power off   stream      cyclic set-points to several drives (stream_axis: one of them)
     touch_probe   positions latched by the drive         parameters  access by dictionary (named_parameters, raw_parameters)
     units         the units that a drive reports         drive       all of that as a ServoDrive
-    dcf           device configurations, also concise    lss         nodes without an id
+    dcf           device configurations, also concise    sdo_cost    what transfers cost on the bus
     not_parameters  targets, commands, volatile objects  whole_pdo   one PDO as a single parameter
-    sdo_cost      what transfers cost on the bus
 
 The canopen package's reader of EDS files is not used: it refuses many, and takes values for what they are not. Its SDO client and
 CiA-402 node are not used either. Their faults (tests/integration/test_canopen_library_faults.py) cannot

@@ -8,16 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import pytest
-
 from drivers.canopen.bus import CanLink
 from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.lss import LssAddress, LssMaster
 from drivers.canopen.node import NmtCommand, NodeMonitor
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.drive import DriveLimits
-from drivers.errors import NoAnswerError
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_wire import Node
@@ -175,18 +171,3 @@ def test_a_streaming_cycle() -> None:
                 "185#371600000000",  # enabled, follows the command (bit 12); still at 0
             ]
         drive.set_mode(Mode.PROFILE_POSITION)
-
-
-def test_lss_selects_and_assigns() -> None:
-    bench = CanBench((NODE,))
-    spy = Spy(bench)
-    with CanLink(bench.port(), bench.clock) as link:
-        with pytest.raises(NoAnswerError):
-            LssMaster(link).assign(LssAddress(0x4E1, 0x402, 0x10000, 7), 9)
-        assert spy.take() == [
-            "7E5#0400000000000000",
-            "7E5#40E1040000000000",
-            "7E5#4102040000000000",
-            "7E5#4200000100000000",
-            "7E5#4307000000000000",
-        ]
