@@ -335,8 +335,7 @@ class StoppableDrive(ServoDrive):
         if axis is None:
             return self.sampler.heard_by_sync() and decode_state(self.sampler.statusword) is not DriveState.ENABLED
         axis.fresh = False
-        if axis.sync_by_host:
-            self.link.send(SYNC, b"")
+        self.link.send(SYNC, b"")
         heard = self.link.wait(lambda: axis.fresh, self.settings.sample_timeout_s)
         return heard and decode_state(axis.status) is not DriveState.ENABLED
 
@@ -364,7 +363,7 @@ class StoppableDrive(ServoDrive):
         elif axis is None and stop is None and self.connection.mapped and self.connection.rpdo is not None:
             place = self.sampler.values.get(objects.POSITION_ACTUAL, 0)
             ways.append(partial(self.link.send, self.rpdo.cob_id, self.rpdo.codec.pack(word, place), STOP_SEND_S))
-        if stop is None and ways and not self.link.sync.foreign_runs and (axis is None or axis.sync_by_host):
+        if stop is None and ways and not self.link.sync.foreign_runs:
             ways.append(partial(self.link.send, SYNC, b"", STOP_SEND_S))
         ways.append(partial(self.sdo.send_at_once, objects.CONTROLWORD, word))
         return ways

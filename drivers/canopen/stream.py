@@ -1,9 +1,8 @@
-"""Streaming set-points to several drives, paced by SYNC: cyclic synchronous position, velocity or torque.
+"""Streaming positions to several drives, paced by SYNC: cyclic synchronous position, or interpolated position in its place.
 
 Set-points are sent at once, take effect at the next SYNC (synchronous RPDOs), and the feedback that this SYNC requested is received
 before the call returns. Deviations are counted, and acted on: once a limit is exceeded all axes are
-quick-stopped and an error names what happened. SYNC comes from this process or from the kernel's broadcast manager (SocketCAN),
-which keeps its period when Python does not.
+quick-stopped and an error names what happened. SYNC comes from this process.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack, suppress
 from functools import partial
 from types import TracebackType
-from typing import Any, Self
+from typing import Self
 
 import can
 
@@ -24,15 +23,12 @@ from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.sdo import write_together
 from drivers.canopen.stopping import StoppableDrive
 from drivers.canopen.stream_axis import (
-    BY_POSITION,
     RUNNING,
     RUNNING_MASK,
-    TARGETS,
     Axis,
     Feedback,
     StreamCounters,
     StreamSettings,
-    SyncSource,
 )
 from drivers.canopen.sync import SYNC, SyncFollower
 from drivers.clock import NS_PER_S
@@ -42,7 +38,6 @@ from drivers.errors import (
     BridgeError,
     CapabilityError,
     InputError,
-    LinkLostError,
     NoAnswerError,
     SafetyError,
     StateError,
@@ -50,7 +45,7 @@ from drivers.errors import (
 from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 
-__all__ = ["AxesBySync", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings", "SyncSource"]
+__all__ = ["AxesBySync", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings"]
 
 HEARTBEATS_WATCHED_S = 0.05
 """Interval of the checks of every drive's heartbeat while its feedback comes, s."""
@@ -71,8 +66,6 @@ class CyclicStream:
     def __init__(self, drives: Sequence[StoppableDrive], settings: StreamSettings) -> None:
         if not drives or len({id(drive.link) for drive in drives}) != 1:
             raise InputError("a stream needs drives, all on one link")
-        if settings.mode not in TARGETS:
-            raise InputError(f"mode {settings.mode.name} is not a cyclic synchronous one")
         if not settings.period_s > 0:
             raise InputError(f"stream period is {settings.period_s} s, expected > 0")
         self.settings = settings
@@ -88,30 +81,21 @@ class CyclicStream:
                 drive.limits,
                 settings,
                 stop=drive.connection.stop_rpdo,
-                mode=_mode_of(drive, settings.mode),
-                units=drive.units,
+                mode=drive.motion.streaming_mode or Mode.CYCLIC_POSITION,
                 kind=SYNC_EVERY if drive.connection.rpdo is None else drive.connection.rpdo.kind,
             )
             for drive in drives
         ]
         self._last_first = sorted(self._axes, key=lambda axis: -axis.tpdo.cob_id)
-        by_host = settings.sync is SyncSource.HOST
-        self._exchange = self._exchange_with_host_sync if by_host else self._exchange_with_foreign_sync
         self._sync_message = can.Message(arbitration_id=SYNC, data=b"", is_extended_id=False)
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._watch_every = max(1, round(HEARTBEATS_WATCHED_S / settings.period_s))
         self._feedback_s = settings.period_s * settings.feedback_share
         self._next_sync_ns = 0
         self._missed_in_a_row = 0
-        self._sync_count = 0
-        self._sync_taken = 0
-        self._sync_task: Any = None
         self._running = False
         self._stopped = False  # whether a stop was sent to the axes
         self._foreign: list[int] = []  # times of recent SYNCs that are not the owner's
-        self._first_ns = self._heard = (
-            0  # of the bus's SYNCs: when the first came, how many; to tell others' from its own
-        )
 
     # -- entering and leaving --------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
@@ -163,8 +147,6 @@ class CyclicStream:
             raise CapabilityError(f"drive {drive.name} has no {axis.mode.name.lower().replace('_', ' ')} mode")
         if drive.connection.no_stream:
             raise CapabilityError(f"drive {drive.name} cannot stream: {drive.connection.no_stream}")
-        if axis.mode is Mode.CYCLIC_VELOCITY and drive.units.ambiguous:
-            raise CapabilityError(f"drive {drive.name} cannot stream velocities: {drive.units.ambiguous}")
         value, exponent = _interpolation(self.settings.period_s)
         with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
             drive.motion.set(objects.INTERPOLATION_PERIOD, value)
@@ -177,8 +159,7 @@ class CyclicStream:
                 drive.motion.set(objects.BUFFER_CLEAR, 1, always=True)
         drive.set_mode(axis.mode)
         axis.position_counts = drive.sdo.read(objects.POSITION_ACTUAL)
-        if axis.mode in BY_POSITION:
-            axis.demand_counts = axis.next_counts = axis.position_counts
+        axis.demand_counts = axis.next_counts = axis.position_counts
         axis.status = drive.sdo.read(objects.STATUSWORD)
         axis.heard_ns = self.clock.now_ns()
         self.link.subscribe(axis.tpdo.cob_id, axis.receive)
@@ -192,9 +173,6 @@ class CyclicStream:
         self._running = True
         self._next_sync_ns = self.clock.now_ns() + self._period_ns
         self.link.subscribe(SYNC, self._on_sync)
-        if self.settings.sync is SyncSource.BROADCAST_MANAGER:
-            message = can.Message(arbitration_id=SYNC, is_extended_id=False, data=b"")
-            self._sync_task = self.link.send_periodically(message, self.settings.period_s)
 
     def _stop_all(self, error: BaseException) -> None:
         """Send the stop to every axis at once; then wait for each confirmation, and disable an axis that does not confirm it."""
@@ -217,22 +195,13 @@ class CyclicStream:
             undo_all(
                 [
                     ("", partial(_unwatch_sync, [axis for _, axis in taken])),
-                    ("stream: SYNC not stopped", self._stop_sync),
+                    ("", partial(self.link.unsubscribe, SYNC, self._on_sync)),
                     *(("", partial(self._give_back, drive, axis)) for drive, axis in taken),
                     ("", partial(self.link.sync.release, self)),
                 ],
                 during=error,
                 interrupted=self._send_stops,
             )
-
-    def _stop_sync(self) -> None:
-        task, self._sync_task = self._sync_task, None
-        try:
-            if task is not None:
-                task.stop()
-                self.link.poll()  # its last frames must not count as foreign
-        finally:
-            self.link.unsubscribe(SYNC, self._on_sync)
 
     def _give_back(self, drive: StoppableDrive, axis: Axis) -> None:
         """Restore the PDOs, and profile position unless it was stopped; an axis that cannot be restored is disabled."""
@@ -259,10 +228,10 @@ class CyclicStream:
 
     # -- the cycle -------------------------------------------------------------------------------------------------------
     def cycle(self, values: Sequence[float]) -> list[Feedback]:
-        """Send one value per drive (load mm, mm/s or percent of rated torque), wait for the SYNC that applies them, and for feedback.
+        """Send one position per drive (load mm), wait for the SYNC that applies them, and for feedback.
 
         Raises LimitError before anything is sent; SafetyError (cycles missed), NoAnswerError (feedback missing), LinkLostError
-        (no SYNC, heartbeat), DriveFaultError, FollowingErrorError, StateError - each with all axes quick-stopped.
+        (heartbeat), DriveFaultError, FollowingErrorError, StateError - each with all axes quick-stopped.
         """
         axes = self._axes
         if not self._running:
@@ -295,7 +264,7 @@ class CyclicStream:
             self._stop_all(error)
             raise
 
-    def _exchange_with_host_sync(self) -> None:
+    def _exchange(self) -> None:
         """Send the set-points at once, SYNC when it is due."""
         link, clock = self.link, self.clock
         now_ns = clock.now_ns()
@@ -313,22 +282,6 @@ class CyclicStream:
         self._begin_cycle()
         link.send_message(self._sync_message)
         self._next_sync_ns += self._period_ns
-
-    def _exchange_with_foreign_sync(self) -> None:
-        """Send the set-points at once, then wait for the SYNC that applies them. Raises LinkLostError when none comes."""
-        self.link.poll()
-        if not self.counters.cycles:
-            self._sync_taken = self._sync_count
-        missed = self._sync_count - self._sync_taken
-        self._sync_taken = self._sync_count
-        self._account_for_missed(missed)
-        for axis in self._axes:
-            self.link.send_message(axis.set_point())
-        self._end_when_stopped()
-        if not self.link.wait(lambda: self._sync_count > self._sync_taken, 2.5 * self.settings.period_s):
-            self.counters.sync_losses += 1
-            raise LinkLostError(f"stream: no SYNC on the bus for {2.5e3 * self.settings.period_s:g} ms")
-        self._sync_taken = self._sync_count
 
     def _account_for_lateness(self, late_ns: int) -> None:
         """Set-points after the SYNC that should have applied them: whole periods are missed cycles."""
@@ -362,24 +315,11 @@ class CyclicStream:
                 raise axis.explain_status()
 
     def _on_sync(self, time_ns: int, _data: bytes) -> None:
-        """A SYNC was received: the bus's own in a stream that it paces; otherwise, or too many of them, a foreign one."""
-        if self._sync_task is not None:
-            if not self._heard:
-                self._first_ns = time_ns
-            self._heard += 1
-            due = (2 * (time_ns - self._first_ns) + self._period_ns) // (2 * self._period_ns) + 1
-            # SYNCs received late look like fewer than are due, never like more
-            if self._heard - due <= self.counters.foreign_syncs:
-                self._sync_count += 1
-                self._begin_cycle()
-                return
-        if self._running:
-            self._account_for_foreign(time_ns)
-
-    def _account_for_foreign(self, time_ns: int) -> None:
         """Account for a SYNC that is not the owner's; a program that only samples stops sending them when it hears ours.
 
-        Raises StateError above `FOREIGN_SYNCS`."""
+        Raises SafetyError above `FOREIGN_SYNCS`."""
+        if not self._running:
+            return
         self.counters.foreign_syncs += 1
         self._foreign.append(time_ns)
         self._foreign = [heard_ns for heard_ns in self._foreign if time_ns - heard_ns <= FOREIGN_SYNC_S * NS_PER_S]
@@ -412,13 +352,6 @@ class CyclicStream:
         """Raise the error of a statusword other than "enabled and following"; the first cycle may not follow yet."""
         if self.counters.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
             raise axis.explain_status()
-
-
-def _mode_of(drive: StoppableDrive, wanted: Mode) -> Mode:
-    """The mode of one drive: interpolated position where cyclic synchronous position is wanted and missing."""
-    if wanted is Mode.CYCLIC_POSITION and drive.motion.streaming_mode is not None:
-        return drive.motion.streaming_mode
-    return wanted
 
 
 def _stop(drive: StoppableDrive) -> None:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum
 from typing import NamedTuple
 
 import can
@@ -21,14 +20,7 @@ from drivers.canopen.pdo_setup import PdoSetup
 from drivers.canopen.power import PowerStage
 from drivers.drive import FAULTS, DriveLimits, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
-from drivers.scaling import AxisScaling, MotionScaling
-
-
-class SyncSource(Enum):
-    """The producer of SYNC."""
-
-    HOST = "this process, when a cycle is due"
-    BROADCAST_MANAGER = "the bus itself: the kernel's broadcast manager on SocketCAN"
+from drivers.scaling import AxisScaling
 
 
 @dataclass(frozen=True)
@@ -36,19 +28,16 @@ class StreamSettings:
     """period_s: the SYNC cycle, s. bitrate: for the prediction whether the cycle fits, bit/s; None skips it.
 
     The limits are numbers of successive cycles, after which the stream is stopped. following_error_mm: largest allowed difference
-    between the set-point that was in force and the position that came back, mm (position streams). torque_limit_percent: of rated.
+    between the set-point that was in force and the position that came back, mm.
     """
 
     period_s: float
-    mode: Mode = Mode.CYCLIC_POSITION
     bitrate: int | None = 1_000_000
     budget: float = 0.7
-    sync: SyncSource = SyncSource.HOST
     missed_limit: int = 3
     late_limit: int = 3
     feedback_share: float = 0.8  # of the period, within which feedback must have come
     following_error_mm: float = 1.0
-    torque_limit_percent: float = 100.0
 
 
 @dataclass
@@ -58,7 +47,6 @@ class StreamCounters:
     cycles: int = 0
     missed_cycles: int = 0  # SYNCs that went by without new set-points
     late_feedback: int = 0
-    sync_losses: int = 0
     foreign_syncs: int = 0  # SYNCs that the stream's owner did not send
     worst_late_ns: int = 0
 
@@ -79,11 +67,7 @@ class Feedback(NamedTuple):
 TARGETS: dict[Mode, Entry] = {
     Mode.CYCLIC_POSITION: objects.TARGET_POSITION,
     Mode.INTERPOLATED_POSITION: objects.INTERPOLATION_TARGET,
-    Mode.CYCLIC_VELOCITY: objects.TARGET_VELOCITY,
-    Mode.CYCLIC_TORQUE: objects.TARGET_TORQUE,
 }
-BY_POSITION = (Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION)
-ANY = 1 << 62  # larger than every number of counts
 RUNNING = 0x0027 | int(
     Status.FOLLOWS_COMMAND
 )  # operation enabled, and the set-points are followed (interpolation active)
@@ -93,12 +77,11 @@ RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
 class Axis:
     """One axis in the stream: its frames, its latest feedback, its limits in counts, precomputed for the cycle.
 
-    mode: of this drive: interpolated position stands in for cyclic synchronous position. units: of its velocity. kind: the
-    transmission type that its RPDO takes.
+    mode: of this drive: interpolated position stands in for cyclic synchronous position. kind: the transmission type that its RPDO
+    takes.
     stop: the RPDO that stops the drive at once, which the stream leaves in place; None where there is none. With it the set-points
     carry no controlword: one of "enable operation" each cycle would undo within a period what another master, a panel or the drive
     itself did to disable the axis. Interpolated position keeps it, as its bit 4 begins with the first set-point.
-    counts_of(value): a set-point (load mm, mm/s, percent of rated torque) in the drive's units; raises LimitError.
     """
 
     def __init__(
@@ -111,7 +94,6 @@ class Axis:
         *,
         stop: PdoSpec | None,
         mode: Mode,
-        units: MotionScaling,
         kind: int = SYNC_EVERY,
     ) -> None:
         node_id = node.node_id
@@ -119,7 +101,6 @@ class Axis:
         self._run = Command.ENABLE_OPERATION.word
         if mode is Mode.INTERPOLATED_POSITION:
             self._run |= Control.INTERPOLATE
-        self._units = units
         self.node = node
         self.power = power
         self.limits = limits
@@ -130,7 +111,6 @@ class Axis:
         self.tpdo = PdoSpec(1, True, 0x180 + node_id, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
         kept = () if stop is None else (stop,)
         self.setup = PdoSetup(node.sdo, node_id, (self.rpdo, self.tpdo, *kept), alone=True)
-        self.sync_by_host = settings.sync is SyncSource.HOST
         self._pack_into = self.rpdo.codec.pack_into
         self._unpack_from = self.tpdo.codec.unpack_from
         self.message = can.Message(
@@ -146,22 +126,12 @@ class Axis:
         self.next_counts = 0  # sent for the next one
         self.sync_period_before: int | None = None
         self.taken = False  # whether this stream controls the drive
-        self.counts_of = {
-            Mode.CYCLIC_POSITION: self._position_counts,
-            Mode.INTERPOLATED_POSITION: self._position_counts,
-            Mode.CYCLIC_VELOCITY: self._velocity_counts,
-            Mode.CYCLIC_TORQUE: self._torque_permille,
-        }[mode]
-        self.direction = scaling.direction
         self.mm_per_count = scaling.direction * scaling.resolution_load_mm
         self.counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         # one count of rounding at either end does not count as velocity
         self.max_step_counts = math.floor(limits.max_velocity_mm_s * settings.period_s * scaling.counts_per_load_mm) + 1
         self.travel_min_mm, self.travel_max_mm = limits.travel_min_mm, limits.travel_max_mm
-        by_position = mode in BY_POSITION
-        self.max_error_counts = (
-            math.floor(settings.following_error_mm * scaling.counts_per_load_mm) if by_position else ANY
-        )
+        self.max_error_counts = math.floor(settings.following_error_mm * scaling.counts_per_load_mm)
 
     # -- frames ----------------------------------------------------------------------------------------------------------
     def receive(self, time_ns: int, data: bytes) -> None:
@@ -183,18 +153,15 @@ class Axis:
 
     def command(self, controlword: int) -> can.Message | None:
         """A command that stops the axis, as the RPDO of this axis: a message object of its own, as any thread may send it. None where
-        the RPDO carries no controlword.
-
-        The target is the last one of a position stream, and 0 in the others.
+        the RPDO carries no controlword. The target is the last one.
         """
         if not self.commanding:
             return None
-        counts = self.next_counts if self.mode in BY_POSITION else 0
-        data = self.rpdo.codec.pack(controlword, counts)
+        data = self.rpdo.codec.pack(controlword, self.next_counts)
         return can.Message(arbitration_id=self.rpdo.cob_id, data=data, is_extended_id=False)
 
     # -- set-points ------------------------------------------------------------------------------------------------------
-    def _position_counts(self, position_load_mm: float) -> int:
+    def counts_of(self, position_load_mm: float) -> int:
         """Load mm -> counts. Raises LimitError for a position outside the travel, or too far from the last one."""
         if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
             self.limits.check_target(position_load_mm)
@@ -206,27 +173,6 @@ class Axis:
                 f" allowed are {self.limits.max_velocity_mm_s:g} mm/s"
             )
         return counts
-
-    def _velocity_counts(self, velocity_mm_s: float) -> int:
-        self._check_inside(velocity_mm_s)
-        if abs(velocity_mm_s) > self.limits.max_velocity_mm_s:
-            self.limits.check_velocity(abs(velocity_mm_s))
-        return round(velocity_mm_s * self.counts_per_mm / float(self._units.velocity.counts))
-
-    def _torque_permille(self, torque_percent: float) -> int:
-        self._check_inside(torque_percent)
-        allowed = self.settings.torque_limit_percent
-        if abs(torque_percent) > allowed:
-            raise LimitError(f"drive {self.node.name}: torque {torque_percent:g} %, allowed are ±{allowed:g} %")
-        return self.direction * round(10 * torque_percent)
-
-    def _check_inside(self, value: float) -> None:
-        """Raise LimitError where a velocity or torque would push an axis at the end of its travel further out."""
-        if not math.isfinite(value):
-            raise LimitError(f"drive {self.node.name}: {value} is no set-point")
-        place_mm = self.position_counts * self.mm_per_count
-        if (place_mm >= self.travel_max_mm and value > 0) or (place_mm <= self.travel_min_mm and value < 0):
-            raise LimitError(f"drive {self.node.name}: at {place_mm:.3f} mm, the end of its travel")
 
     # -- feedback --------------------------------------------------------------------------------------------------------
     def explain_error(self) -> FollowingErrorError:

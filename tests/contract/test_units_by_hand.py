@@ -15,9 +15,7 @@ from typing import Any
 import pytest
 from support.drive_rigs import BACKENDS, COUNTS_PER_REV, Backend, Rig, arrive, home
 
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, HomingSettings
-from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
 from drivers.drive import Capability, ServoDrive
 from drivers.errors import FollowingErrorError, LimitError
@@ -167,33 +165,6 @@ def test_a_stream_of_positions(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Non
         targets = [target for (target,) in given]
         assert targets.index(-10_000) < targets.index(-20_000)  # 0.8 and 1.6 mm · 12 500 · −1
         assert min(targets) == -20_000
-
-
-@ON_CANOPEN
-@pytest.mark.parametrize(
-    ("mode", "order", "value", "told", "too_much"),
-    [
-        (Mode.CYCLIC_VELOCITY, "cyclic_velocity", 16.0, -200_000, 201.0),  # 16 mm/s · 12 500 · −1
-        (Mode.CYCLIC_TORQUE, "cyclic_torque", 4.2, -42, 100.1),  # 4.2 % of rated · 10 · −1
-    ],
-)
-def test_streams_of_velocity_and_torque(  # noqa: PLR0917
-    rig: Rig, monkeypatch: pytest.MonkeyPatch, mode: Mode, order: str, value: float, told: int, too_much: float
-) -> None:
-    drive = rig.drive
-    assert isinstance(drive, CanOpenDrive)
-    with drive:
-        drive.enable()
-        home(rig)
-        drive.start_move(40.0, 100.0)
-        arrive(rig)
-        given = _orders(rig, order, monkeypatch)
-        with CyclicStream([drive], StreamSettings(0.004, mode, bitrate=None)) as stream:
-            for _ in range(5):
-                stream.cycle([value])
-            assert given[LAST] == (told,)
-            with pytest.raises(LimitError):
-                stream.cycle([too_much])
 
 
 @ON_CANOPEN

@@ -20,7 +20,7 @@ from drivers.canopen.motion import LOOK_S
 from drivers.canopen.power import PowerTimes
 from drivers.canopen.sdo import AT_LEAST_S, WAY_OUT_S, SdoClient, WayOut
 from drivers.canopen.stopping import HALT_TAKEN_S
-from drivers.canopen.stream import CyclicStream, StreamSettings, SyncSource
+from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import (
@@ -296,11 +296,10 @@ def test_no_order_enables_the_axis_after_a_stop(make: MakeRig, option: int) -> N
 # -- streams --------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
 @pytest.mark.parametrize("fixed", [(), (FIXED_RPDO_2,)], ids=["event-rpdo", "synchronous-rpdo"])
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.9])
 def test_a_stop_in_the_middle_of_a_cycle_is_not_undone_by_the_set_point_that_waits_for_sync(
-    make: MakeRig, sync: SyncSource, fixed: tuple[tuple[int, int], ...], share: float
+    make: MakeRig, fixed: tuple[tuple[int, int], ...], share: float
 ) -> None:
     """605Ah = 6: the drive holds after its quick stop, and a set-point with "enable operation" would let it go on."""
     rig = make(refused=fixed, parameters={(0x605A, 0): 6})
@@ -318,7 +317,7 @@ def test_a_stop_in_the_middle_of_a_cycle_is_not_undone_by_the_set_point_that_wai
             drive.send_stop()
 
     def run() -> None:
-        with CyclicStream([drive], StreamSettings(period_s, sync=sync)) as stream:
+        with CyclicStream([drive], StreamSettings(period_s)) as stream:
             for cycle in range(60):
                 if cycle == 40:
                     at_ns[0] = rig.clock.now_ns() + round(share * period_s * 1e9) + 1
@@ -338,10 +337,9 @@ def test_a_stop_in_the_middle_of_a_cycle_is_not_undone_by_the_set_point_that_wai
     assert stopped[0] - states[0] <= 1_000_000
 
 
-@pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
 @pytest.mark.parametrize("fixed", [(), (FIXED_RPDO_2,)], ids=["event-rpdo", "synchronous-rpdo"])
 def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
-    make: MakeRig, sync: SyncSource, fixed: tuple[tuple[int, int], ...], monkeypatch: pytest.MonkeyPatch
+    make: MakeRig, fixed: tuple[tuple[int, int], ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Another thread sends the stop between the check of this cycle and its set-point."""
     rig = make(refused=fixed, parameters={(0x605A, 0): 6})
@@ -351,7 +349,7 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
     words: list[int] = []
 
     def run() -> None:
-        with CyclicStream([drive], StreamSettings(0.01, sync=sync)) as stream:
+        with CyclicStream([drive], StreamSettings(0.01)) as stream:
             for cycle in range(20):
                 stream.cycle([0.5 * cycle])
             (axis,) = stream._axes
@@ -372,8 +370,7 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
     assert rig.bench.slave.profile.state is DriveState.QUICK_STOP
 
 
-@pytest.mark.parametrize("sync", list(SyncSource), ids=lambda sync: sync.name.lower())
-def test_an_axis_that_something_else_disables_in_a_stream_stays_disabled(make: MakeRig, sync: SyncSource) -> None:
+def test_an_axis_that_something_else_disables_in_a_stream_stays_disabled(make: MakeRig) -> None:
     """A panel or a second master writes "shutdown": no set-point may switch on again what somebody has switched off."""
     rig = make()
     drive = rig.drive
@@ -382,7 +379,7 @@ def test_an_axis_that_something_else_disables_in_a_stream_stays_disabled(make: M
     states: list[DriveState] = []
 
     def run() -> None:
-        with CyclicStream([drive], StreamSettings(0.01, sync=sync)) as stream:
+        with CyclicStream([drive], StreamSettings(0.01)) as stream:
             for cycle in range(60):
                 if cycle == 40:
                     rig.bench.slave.profile._write_controlword(0x0006)
