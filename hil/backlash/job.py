@@ -147,7 +147,7 @@ def measuring_job(axis: DriveAxis, how: BacklashConfig) -> Job:
     def work(place: Workplace) -> MeasuredBacklash:
         return measure(axis, how, place.drive, listener=place.listener, tell=place.tell)
 
-    return Job(MEASURE, measuring_plan(axis, how), work)
+    return Job(MEASURE, measuring_plan(axis, how), work, reached=lambda found: found.result.lost_motion_um is not None)
 
 
 def _next_file(directory: Path) -> Path:

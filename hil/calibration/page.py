@@ -10,7 +10,7 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app.desk.progress import Phase, Progress
+from hil.app.desk.progress import Progress
 from hil.app.panel.pieces import (
     Check,
     Reading,
@@ -87,9 +87,9 @@ def _steps(screen: CalibrationScreen | None, job: Progress | None) -> list[str]:
     stages = {} if screen is None else screen.stages
     verified = screen is not None and screen.verified is not None
     states = ["done" if known else "" for known in ("before" in stages, "after" in stages, verified)]
-    if job is None or job.phase is Phase.DONE or job.kind == UNCORRECTED:
+    if job is None or job.carried_out or job.kind == UNCORRECTED:
         return states
-    at = 2 if job.kind == VERIFY else 0 if job.step is None else job.step[0] - 1
+    at = (2 if job.kind == VERIFY else 0) if job.step is None else job.step[0] - 1
     return [*states[:at], "now" if job.running else "broken", *[""] * (2 - at)]
 
 

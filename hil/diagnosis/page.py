@@ -252,7 +252,6 @@ def _options(view: View, drawn: Curves) -> Options:
         for sign, values in drawn.laid_over.items()
     ]
     options = curves(view, t.said(drawn.label), t("diagnosis.plot_y"), [*points, *lines])
-    options["legend"] |= {"itemWidth": 18, "itemHeight": 12}
     return options
 
 

@@ -137,7 +137,8 @@ def measuring_job(
             )
         return measured
 
-    return Job(MEASURE, zero.in_plan(measuring_plan(axis, how, seed)), work)
+    plan = zero.in_plan(measuring_plan(axis, how, seed))
+    return Job(MEASURE, plan, work, reached=lambda measured: measured.result.good or measured.result.needless)
 
 
 def _named(listener: Listener) -> Listener:

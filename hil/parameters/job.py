@@ -267,7 +267,8 @@ def _job(
             keep_outcome(axis, result)
         return result
 
-    return Job(kind, plan, work_and_keep, connects=True)
+    held = lambda result: not isinstance(result, JobReport) or result.good  # noqa: E731
+    return Job(kind, plan, work_and_keep, connects=True, reached=held)
 
 
 def _progress_events(place: Workplace) -> Progress:

@@ -11,7 +11,7 @@ from nicegui import events, ui
 
 from drivers.errors import InputError
 from hil.app.jobs.job import Job
-from hil.app.panel.pieces import Reading, Table
+from hil.app.panel.pieces import Reading, Table, show_share
 from hil.app.panel.view import View
 from hil.axis.axis_file import DriveAxis
 from hil.parameters import job as parameters
@@ -249,7 +249,7 @@ def _draw_progress(view: View) -> Refresh:
     def refresh() -> None:
         job = parameters_screen(view.desk).job
         step.set_text(view.stage(job))
-        bar.set_value(0.0 if job is None else round(job.share, 3))
+        show_share(bar, job)
 
     return refresh
 

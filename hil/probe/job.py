@@ -300,7 +300,8 @@ def measuring_job(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> 
         with at_machine(config, store, in_bore=False, waiting=place.waiting) as there:
             return measure(there, mode, place.listener, _showing(config, place))
 
-    return Job(MEASURE, measuring_plan(config, store, mode), work, connects=True)
+    plan = measuring_plan(config, store, mode)
+    return Job(MEASURE, plan, work, connects=True, reached=lambda measured: measured.refusal is None)
 
 
 def correction_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, code: CorrectionCode) -> Job:

@@ -106,7 +106,7 @@ def speaks_german_in_two_looks(person: Person, address: str) -> None:
     assert loaded_from(person) == {address.rstrip("/")}
     person.clicks("language")
     person.driver.find_element(By.XPATH, "//div[contains(@class, 'q-item')][.//*[text()='English']]").click()
-    person.waits_to_read("overview.state", "switch-on inhibited")
+    person.waits_to_read("overview.state", "switch on disabled")
 
 
 def test_stop_in_motion(person: Person, slowly: str) -> None:
@@ -125,7 +125,7 @@ def test_stop_in_motion(person: Person, slowly: str) -> None:
         )  # type: ignore[misc]
         stop()
         person.waits_to_read("backlash.step", "stopped by the operator")
-        person.waits(lambda: person.reads("header.state") == "switch-on inhibited", "as it was found")
+        person.waits(lambda: person.reads("header.state") == "switch on disabled", "as it was found")
         told = re.fullmatch(r"at rest (\d+) ms after the stop, ([\d.]+) mm further", person.reads("header.job"))
         assert told is not None
         assert int(told[1]) <= 50 + 10  # looked at every 10 ms

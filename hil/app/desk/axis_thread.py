@@ -252,7 +252,7 @@ class AxisThread:
                 for note in drive.notes[known:] if session is None else session.untold_notes():
                     asked.log.tell(note)
 
-        self._carried_out(work, asked.log)()
+        self._carried_out(work, asked)()
 
     def _run_connecting(self) -> None:
         """Run the requested job if it connects by itself. This axis is disconnected; lent axes are waited for."""
@@ -269,7 +269,7 @@ class AxisThread:
         self._borrowed = asked.lent
         self.board.forget()  # the job may show the axis by `Workplace.watch`
         try:
-            record_end = self._carried_out(work, asked.log)
+            record_end = self._carried_out(work, asked)
         finally:
             self._borrowed = ()
             self.board.forget()
@@ -291,13 +291,15 @@ class AxisThread:
         heard = asked.log
         return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask)
 
-    def _carried_out(self, work: Callable[[], object], log: JobLog) -> Callable[[], None]:
+    def _carried_out(self, work: Callable[[], object], asked: JobRequest) -> Callable[[], None]:
         """Run a job's work; returns what records how it ended. `one_job` has put the axis back before."""
+        log = asked.log
         self._pacing.set_factor(self._pace)
         for thread in (self, *self._borrowed):
             thread.standstill.forget()
         try:
-            return partial(log.end, Phase.DONE, work())
+            result = work()
+            return partial(log.end, Phase.DONE if asked.job.reached(result) else Phase.WITHOUT_RESULT, result)
         except StoppedByOperator:
             return partial(log.end, Phase.STOPPED)
         except Exception as error:  # noqa: BLE001  a program error in a job must not end the thread

@@ -297,8 +297,8 @@ class Desk:
             for change in log.changes:
                 self.events.add(Kind.WRITE, "wrote", who=log.who, change=change, **figures)
             self.events.add(Kind.JOB, "done", who=log.who, **figures)
-        elif log.phase is Phase.STOPPED:
-            self.events.add(Kind.JOB, "stopped", who=log.who, **figures)
+        elif log.phase in (Phase.STOPPED, Phase.WITHOUT_RESULT):
+            self.events.add(Kind.JOB, log.phase.value, who=log.who, **figures)
         else:
             self.events.add(Kind.ALARM, "failed", who=log.who, cause=log.error, remedy=_remedy(raised), **figures)
             self._told_lost = isinstance(raised, TransportError)

@@ -19,8 +19,11 @@ KEPT_POINTS, KEPT_SERIES, KEPT_FIGURES, KEPT_MESSAGES = 2000, 40, 200, 100
 _LOOP = (("measure",), ("round",), ("before",), ("diagnose", "next"), ("after",))
 _MOTION = (("motion-before",), ("diagnose",), ("motion-after",))
 _WRITING = (("look",), ("write",))
+_CORRECTING = (("measure",), ("round",), ("verify",))
+"""As found, with the tables, verified: the last one is a job of its own."""
 _STEPS: Mapping[str, tuple[tuple[str, ...], ...]] = {
-    "calibrate": (("measure",), ("round",)),
+    "calibrate": _CORRECTING,
+    "verify": _CORRECTING,
     "lost motion": (("strokes",), ("fit",), ("before",), ("after",)),
     "circle": (("circle, uncorrected",), ("circle, tables",), ("circle, corrected",)),
     "straightness": (("measure",), ("before",), ("after",)),
@@ -44,6 +47,7 @@ class Phase(Enum):
 
     RUNNING = "running"
     DONE = "done"
+    WITHOUT_RESULT = "without_result"  # carried out, but what it was for was not reached
     STOPPED = "stopped"  # by the operator
     FAILED = "failed"
 
@@ -52,7 +56,7 @@ class Phase(Enum):
 class Progress:
     """The state of a job.
 
-    number: of the job, counted over all desks; figures: results in the order of time; result: of a job that is done
+    number: of the job, counted over all desks; figures: results in the order of time; result: of a job that was carried out
     error: of a job that failed, one line; stopping: the stop was pressed and is not yet carried out
     step: number of the step that runs, from 1, and how many there are, None where they are not numbered
     began_s, ended_s: by `time.monotonic`; left_s: estimate of the time left in the step that runs, by its pace so far, None for none
@@ -87,9 +91,14 @@ class Progress:
         return self.phase is Phase.RUNNING
 
     @property
+    def carried_out(self) -> bool:
+        """Whether the job came to its end by itself, with a result or without."""
+        return self.phase in (Phase.DONE, Phase.WITHOUT_RESULT)
+
+    @property
     def share(self) -> float:
-        """How far the job is, 0 to 1, as far as its steps can be counted; 1 once it is done, whatever its last event said."""
-        if self.phase is Phase.DONE:
+        """How far the job is, 0 to 1, as far as its steps can be counted; 1 once it was carried out, whatever its last event said."""
+        if self.carried_out:
             return 1.0
         return min(1.0, self.done / self.total) if self.total else 0.0
 

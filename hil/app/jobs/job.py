@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from drivers.clock import Waiting
 from drivers.drive import ServoDrive
@@ -88,14 +89,20 @@ class Workplace:
         return self.store
 
 
+def _always(_result: object) -> bool:
+    return True
+
+
 @dataclass(frozen=True)
 class Job:
     """A job. kind: "backlash", "calibrate" …, a desk keeps the last of each; work: runs in the thread that owns the axis.
 
     connects: the job connects what it needs itself (several axes, a machine with a probe); the desk disconnects its axis meanwhile.
+    reached: whether a result of its work is what the job was for: a job without is over, and not done.
     """
 
     kind: str
     plan: Plan
     work: Callable[[Workplace], object]
     connects: bool = False
+    reached: Callable[[Any], bool] = _always

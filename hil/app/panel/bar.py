@@ -14,7 +14,7 @@ from hil.app.desk.progress import Phase, Progress
 from hil.app.desk.roles import Role
 from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
 from hil.app.panel.events import draw_events
-from hil.app.panel.pieces import Reading, ask_for_builder, take_control
+from hil.app.panel.pieces import Reading, ask_for_builder, show_share, take_control
 from hil.app.panel.texts import LANGUAGES, Texts
 from hil.app.panel.view import View
 
@@ -149,8 +149,9 @@ def _draw_job(view: View) -> Callable[[], None]:
         number.set_visibility(of is not None)
         step.set_text(view.stage(now) if now is not None and running else _last(view, now))
         track.set_visibility(now is not None)
-        percent.set_text("" if now is None else f"{t.number(100.0 * now.share, 0)} %")
-        track.set_value(0.0 if now is None else round(now.share, 3))
+        counted = now is not None and now.phase is not Phase.WITHOUT_RESULT
+        percent.set_text(f"{t.number(100.0 * now.share, 0)} %" if now is not None and counted else "")
+        show_share(track, now)
         elapsed.set_text(
             "" if now is None else t("bar.elapsed" if running else "bar.took", time=duration(t, now.elapsed_s))
         )

@@ -9,7 +9,16 @@ from typing import Any
 from nicegui import ui
 
 from hil.app.panel.pieces import Latest
-from hil.app.panel.plots import FONT, PALETTES, chart_options, inks, nothing_drawn, number_format, pointed_at
+from hil.app.panel.plots import (
+    FONT,
+    PALETTES,
+    chart_options,
+    inks,
+    nothing_drawn,
+    number_format,
+    one_line_legend,
+    pointed_at,
+)
 from hil.app.panel.view import View
 from hil.lost_motion.page_data import CircleCurves
 
@@ -66,8 +75,6 @@ def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
     base = chart_options(view, x, y, legend=True)
     return {
         **base,
-        "grid": {**base["grid"], "top": 64},
-        "legend": _legend(inks(view)[0]),
         "tooltip": pointed_at(view, "item"),
         "series": [_series(curve, view) for curve in drawn],
     }
@@ -127,7 +134,7 @@ def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], comma
     return {
         "animation": False,
         "textStyle": {"fontFamily": FONT},
-        "legend": _legend(ink),
+        "legend": one_line_legend(ink),
         "polar": {"center": ["50%", "54%"], "radius": "78%"},
         "angleAxis": angle_axis(ink, grid),
         "radiusAxis": {
@@ -157,10 +164,6 @@ def angle_axis(ink: str, grid: str) -> Options:
         "axisLine": {"lineStyle": {"color": grid}},
         "splitLine": {"lineStyle": {"color": grid}},
     }
-
-
-def _legend(ink: str) -> Options:
-    return {"show": True, "top": 0, "left": 0, "textStyle": {"color": ink, "fontSize": 14}, "itemGap": 16}
 
 
 def _short(points: Points) -> list[list[float]]:

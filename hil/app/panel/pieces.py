@@ -14,7 +14,7 @@ from nicegui.element import Element
 from drivers.instrument import ReadingStatus
 from hil.app.desk.campaigns import Measurement
 from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase, Progress
+from hil.app.desk.progress import Progress
 from hil.app.panel.view import Button, View
 from hil.axis.axis_file import AxisConfig
 
@@ -42,9 +42,15 @@ def draw_where(
         remaining.set_text(view.t.number(view.desk.live.remaining_mm))
         step.set_text(view.stage(shown))
         if bar is not None:
-            bar.set_value(0.0 if shown is None else round(shown.share, 3))
+            show_share(bar, shown)
 
     return refresh
+
+
+def show_share(bar: ui.linear_progress, job: Progress | None) -> None:
+    """How far a job is, in the colour of how it runs or ended."""
+    bar.set_value(0.0 if job is None else round(job.share, 3))
+    bar.classes(replace="" if job is None else job.phase.value)
 
 
 class Tabs:
@@ -70,9 +76,13 @@ class Tabs:
 
 
 class Steps:
-    """The steps of a job, one beside the other: what is done, what runs, what comes. keys: of their names, "steps.<page>.<key>"."""
+    """The steps of a job, one beside the other: what is done, what runs, what comes.
 
-    def __init__(self, view: View, page: str, keys: Sequence[str]) -> None:
+    keys: of their names, "steps.<page>.<key>"; usual: how many a job has that does not number them, None for all
+    """
+
+    def __init__(self, view: View, page: str, keys: Sequence[str], usual: int | None = None) -> None:
+        self._usual = len(keys) if usual is None else usual
         self._boxes: list[Element] = []
         with view.named(ui.element("ol").classes("hil-steps"), f"{page}.steps"):
             for number, key in enumerate(keys, start=1):
@@ -90,10 +100,12 @@ class Steps:
 
     def follow(self, job: Progress | None, before: Sequence[str] = ()) -> None:
         """Show how far a job is. before: the states without one."""
-        count = len(self._boxes)
+        count = self._usual if job is None or job.step is None else job.step[1]
+        for number, box in enumerate(self._boxes, start=1):
+            box.set_visibility(number <= count)
         if job is None:
             self.show([*before, *[""] * (count - len(before))])
-        elif job.phase is Phase.DONE:
+        elif job.carried_out:
             self.show(["done"] * count)
         else:
             at = 0 if job.step is None else job.step[0]

@@ -44,8 +44,6 @@ class Plot:
         self._dots = dots
         self._keep = keep
         options = chart_options(view, x, y, legend=legend)
-        if dots:
-            options["legend"] |= {"itemWidth": 14, "itemHeight": 12}
         options["title"] = nothing_drawn(view, "plot.empty")
         self._chart = ui.echart(options)
         self._chart.classes("hil-plot" + (" tall" if tall else ""))
@@ -300,12 +298,19 @@ def chart_options(view: View, x: str, y: str, *, legend: bool) -> dict[str, Any]
         "animation": False,
         "textStyle": {"fontFamily": FONT},
         "grid": {"left": 80, "right": 20, "top": 40 if legend else 20, "bottom": 50},
-        "legend": {"type": "scroll", "show": legend, "top": 0, "textStyle": {"color": ink, "fontSize": 14}},
+        "legend": {**one_line_legend(ink), "show": legend},
         "tooltip": pointed_at(view, "axis"),
         "xAxis": {**axis, "name": x, "nameGap": 30},
         "yAxis": {**axis, "name": y, "nameGap": 60},
         "series": [],
     }
+
+
+def one_line_legend(ink: str) -> dict[str, Any]:
+    """The names of the curves above a chart. What does not fit in the line is turned to, so that it never covers the curves."""
+    turned = {"pageIconColor": ink, "pageIconSize": 20, "pageTextStyle": {"color": ink}}
+    looks = {"itemWidth": 18, "itemHeight": 12, "itemGap": 10, "textStyle": {"color": ink, "fontSize": 14}}
+    return {"show": True, "type": "scroll", "top": 0, "left": 0, "right": 0, **looks, **turned}
 
 
 def nothing_drawn(view: View, key: str) -> dict[str, Any]:

@@ -17,6 +17,9 @@ from hil.diagnosis.page_data import DiagnosisScreen
 from hil.diagnosis.stored import measurement_of
 
 Refresh = Callable[[], None]
+IN_MOTION = ("motion_before", "motion_diagnose", "motion_after")
+STEPS = ("measure", "round", "before", "diagnose", "after", *IN_MOTION)
+"""Those in motion are shown of a job that has them."""
 FIGURES = ("rms_um", "peak_um", "A_um", "R_um", "B_um", "M_um")
 
 
@@ -32,7 +35,7 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
                 _draw_buttons(view, axis, kept),
             ]
         with ui.element("div").classes("hil-main"):
-            steps = Steps(view, "loop", ("measure", "round", "before", "diagnose", "after"))
+            steps = Steps(view, "loop", STEPS, usual=len(STEPS) - len(IN_MOTION))
             with view.card("loop.rows_live", name="loop.live.card"):
                 x, y = t("calibrate.plot_x"), t("calibrate.plot_y")
                 live = JobPlot(view, CLOSE_LOOP, x, y, name="loop.live", dots=True, as_one=_as_one)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.app.panel.drawings import Options, angle_axis
-from hil.app.panel.plots import FONT, PALETTES, inks, number_format
+from hil.app.panel.plots import FONT, PALETTES, inks, number_format, one_line_legend
 from hil.app.panel.view import View
 from hil.probe.page_data import BallPositions
 
@@ -59,7 +59,7 @@ def around_the_spindle(view: View, shown: BallPositions, names: Mapping[str, str
     return {
         "animation": False,
         "textStyle": {"fontFamily": FONT},
-        "legend": {"show": True, "top": 0, "left": 0, "textStyle": {"color": ink, "fontSize": 14}, "itemGap": 16},
+        "legend": one_line_legend(ink),
         "polar": {"center": ["50%", "54%"], "radius": "76%"},
         "angleAxis": angle_axis(ink, grid),
         "radiusAxis": {

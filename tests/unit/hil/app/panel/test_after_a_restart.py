@@ -16,6 +16,7 @@ from support.screen import Screen, inside
 from drivers.errors import InputError
 from hil.app.desk.control import NotInControlError
 from hil.app.desk.desk import Desk
+from hil.app.desk.progress import Phase
 from hil.app.desk.unfinished import unfinished_work
 from hil.app.panel.pages import overview
 from hil.app.panel.texts import LANGUAGES, Texts
@@ -82,6 +83,18 @@ def test_the_last_lost_motion_is_shown(tmp_path: Path) -> None:
         }
 
     inside(work)
+
+
+@pytest.mark.parametrize(("more", "phase"), [("", Phase.DONE), ("steps = 20\n", Phase.WITHOUT_RESULT)])
+def test_a_backlash_that_was_not_found_is_not_done(more: str, phase: Phase, tmp_path: Path, until: Until) -> None:
+    axis = load_drive_axis(backlash_axis.lay_out(tmp_path, "canopen", backlash_axis.QUICK + more))
+    with Desk(axis, pace=0.0) as desk:
+        until(lambda: desk.live.connected, "the axis is looked at")
+        desk.run(desk.control.take("test"), job.measuring_job(axis, job.backlash_config(axis)))
+        until(lambda: not desk.job().running, "it is over")  # type: ignore[union-attr]
+        ended = desk.last(job.MEASURE)
+        assert ended is not None
+        assert ended.phase is phase
 
 
 @pytest.mark.parametrize("language", LANGUAGES)

@@ -16,6 +16,7 @@ from support.screen import Screen, inside
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import JobLog, Phase
 from hil.app.desk.roles import Role
+from hil.app.jobs.job import Job
 from hil.app.jobs.plan import Move, Plan
 from hil.app.panel.bar import draw_bar
 from hil.app.panel.pages import PAGES, overview
@@ -25,6 +26,8 @@ from hil.axis.axis_file import load_axis, load_drive_axis
 from hil.backlash import page as backlash
 from hil.calibration import page as calibrate
 from hil.calibration.job import UNCORRECTED, VERIFY
+from hil.diagnosis import page as diagnosis
+from hil.lost_motion import page as lost_motion
 from hil.machine.events import Event
 
 FREE = {"overview.pause", "diagnosis.tab.campaign", "diagnosis.tab.loop"}
@@ -102,8 +105,9 @@ def test_the_switch_of_the_correction_says_how_the_verification_runs(kind: str, 
 def test_progress_ends_at_the_whole_of_a_job_that_is_done(done: int, total: int) -> None:
     log = JobLog(1, "test", Plan("X", "bench"))
     log.hear(Event("measure", done=done, total=total))
-    log.end(Phase.DONE)
-    assert log.progress().share == 1.0
+    for carried_out in (Phase.DONE, Phase.WITHOUT_RESULT):
+        log.end(carried_out)
+        assert log.progress().share == 1.0
     log.end(Phase.STOPPED)
     assert log.progress().share == (done / total if total else 0.0)
 
@@ -111,7 +115,8 @@ def test_progress_ends_at_the_whole_of_a_job_that_is_done(done: int, total: int)
 @pytest.mark.parametrize(
     ("kind", "stages", "numbers"),
     [
-        ("calibrate", ["measure", "round-1", "round-2"], [(1, 2), (2, 2), (2, 2)]),
+        ("calibrate", ["measure", "round-1", "round-2"], [(1, 3), (2, 3), (2, 3)]),
+        ("verify", ["verify"], [(3, 3)]),
         ("backlash", ["run 1 of 3, + → −", "run 3 of 3, − → +"], [(1, 3), (3, 3)]),
         ("lost motion", ["strokes", "fit", "before", "after"], [(1, 4), (2, 4), (3, 4), (4, 4)]),
         (
@@ -120,7 +125,7 @@ def test_progress_ends_at_the_whole_of_a_job_that_is_done(done: int, total: int)
             [(1, 5), (2, 5), (3, 5), (3, 5), (4, 5), (4, 5), (4, 5), (5, 5)],
         ),
         ("parameters download", ["look", "write"], [(1, 2), (2, 2)]),
-        ("verify", ["verify"], [None]),
+        ("uncorrected", ["uncorrected"], [None]),
     ],
 )
 def test_a_job_says_which_of_its_steps_runs(
@@ -152,11 +157,67 @@ def test_the_bar_names_job_and_step(language: str, desk: Desk) -> None:
         screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]), language)
         t = Texts(language)
         assert screen.named("header.job").text == t("job.calibrate")
-        assert screen.named("header.number").text == t("bar.step", number=2, count=2)
+        assert screen.named("header.number").text == t("bar.step", number=2, count=3)
         said = f"{t.said('20.000')} mm (3/16)"
         assert screen.named("header.step").text == f"{t('pass.round', number=1)}: {said}"
 
     inside(work)
+
+
+@pytest.mark.parametrize(
+    ("name", "stages"),
+    [
+        ("calibrate", ["measure", "round-1"]),
+        ("verify", ["verify"]),
+        ("lost motion", ["strokes", "fit", "before", "after"]),
+        ("close-loop", ["measure", "round-1", "before-1", "diagnose", "after-1"]),
+        ("close-loop in motion", ["measure", "after-1", "motion-before", "diagnose", "motion-after"]),
+    ],
+)
+def test_the_bar_counts_the_tiles_that_the_page_shows(name: str, stages: list[str], desk: Desk) -> None:
+    kind, _, moving = name.partition(" in ")
+    page, title = {"lost motion": (lost_motion.draw, "lost_motion"), "close-loop": (diagnosis.draw, "loop")}.get(
+        kind, (calibrate.draw, "calibrate")
+    )
+    moves = (Move("feeds 20", 0.0, 1.0, 20.0),) if moving else ()
+
+    async def work() -> None:
+        log = JobLog(1, kind, Plan("X", "bench", moves))
+        desk._log = desk._last[kind] = log
+        screen = Screen(desk, lambda view: (draw_bar(view, PAGES[0]), page(view)))
+        refresh = screen.quick_timers()
+        for stage in stages:
+            log.hear(Event(stage, done=1, total=9))
+            refresh()
+            tiles = [one for one in screen.named(f"{title}.steps").default_slot.children if one.visible]
+            now = [number for number, one in enumerate(tiles, start=1) if "now" in one.classes]
+            assert screen.named("header.number").text == Texts("en")("bar.step", number=now[0], count=len(tiles)), stage
+
+    inside(work)
+
+
+@pytest.mark.parametrize(("reached", "percent", "colour"), [(True, "100 %", "done"), (False, "", "without_result")])
+def test_a_job_that_did_not_find_what_it_was_for_is_not_done(
+    reached: bool, percent: str, colour: str, tmp_path: Path, until: Until
+) -> None:
+    """Neither in the bar, nor in the log of events, nor as written."""
+    with Desk(load_drive_axis(backlash_axis.lay_out(tmp_path)), pace=0.0) as desk:
+        until(lambda: desk.live.connected, "the axis is connected")
+        job = Job("backlash", Plan("X", "bench"), lambda _place: reached, reached=bool)
+        desk.run(desk.control.take("test"), job, changes=("2201h: 0 → 1",))
+        until(lambda: not desk.job().running, "it is over")  # type: ignore[union-attr]
+
+        async def work() -> None:
+            screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]))
+            assert screen.named("header.percent").text == percent
+            assert colour in screen.named("header.progress").classes
+            ended = "done" if reached else "ended without a result"
+            assert screen.named("header.step").text == f"last: backlash, {ended}"
+
+        inside(work)
+        assert {entry.what for entry in desk.events.entries()} == {"started", colour} | (
+            {"wrote"} if reached else set()
+        )
 
 
 async def asked(screen: Screen) -> list[str]:

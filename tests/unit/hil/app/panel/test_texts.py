@@ -8,6 +8,7 @@ from string import Formatter
 
 import pytest
 
+from drivers.drive import DriveState
 from hil.app.panel.texts import LANGUAGES, Texts, load
 
 PANEL = Path(str(files("hil.app.panel")))
@@ -81,6 +82,13 @@ def test_what_procedures_say_is_said_in_every_language() -> None:
     assert Texts("de").said(one_way).startswith("Position 6,18 mm wurde nur in Richtung −1 gemessen")
     assert Texts("en").said(one_way) == one_way.replace("-1", "−1")
     assert Texts("zh").said("a drive's own words") == "a drive's own words"
+
+
+def test_the_states_of_a_drive_are_named_as_in_the_terminal() -> None:
+    """There by their names in CiA 402, which every message uses."""
+    assert {state.name: Texts("en")(f"state.{state.name}") for state in DriveState} == {
+        state.name: state.value for state in DriveState
+    }
 
 
 def test_figures_are_written_as_in_the_language() -> None:
