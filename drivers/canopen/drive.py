@@ -7,8 +7,8 @@ several drives; the code that made the link closes it.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from functools import partial
 
 from drivers.canopen import objects
@@ -17,12 +17,11 @@ from drivers.canopen.connection import Connection
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
 from drivers.canopen.homing import Homing
-from drivers.canopen.identity import Identity, error_history, read_identity, stores_on_command
+from drivers.canopen.identity import Identity, read_identity, stores_on_command
 from drivers.canopen.motion import ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
-from drivers.canopen.node import NmtCommand, NmtState
+from drivers.canopen.node import NmtState
 from drivers.canopen.objects import Entry
-from drivers.canopen.parameters import LOAD, ON_COMMAND, SAVE
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
@@ -34,7 +33,6 @@ from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import motion_units, object_of, read_units, readings, unit_objects
 from drivers.drive import (
     FAULTS,
-    WITHOUT_POWER,
     Capability,
     DriveSample,
     DriveState,
@@ -334,11 +332,6 @@ class CanOpenDrive(StoppableDrive):
             told.append(f"emergency: {self.monitor.log[-1]}")
         return tuple(told)
 
-    def error_history(self) -> list[int]:
-        """The drive's own list of errors (1003h), the latest first; the lower 16 bits of each are an error code. Raises AbortError."""
-        self._require_open()
-        return error_history(self.sdo)
-
     # -- touch probe, parameters, table, streams -------------------------------------------------------------------------
     def _touch_probe(self) -> CanOpenTouchProbe:
         return CanOpenTouchProbe(self.node, self.scaling)
@@ -368,67 +361,6 @@ class CanOpenDrive(StoppableDrive):
                 f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
             )
         return AxesBySync(in_step, settings)
-
-    # -- storing and restoring -------------------------------------------------------------------------------------------
-    @contextmanager
-    def as_found(self) -> Iterator[None]:
-        """Communication, mode, speeds and ramps as `open` found them, for a store or a survey; set up again afterwards.
-
-        Raises StateError unless the axis is disabled.
-        """
-        self.require_disabled("be put back as it was found")
-        self.monitor.expect_heartbeat(None)
-        self.sampler.unsubscribe()
-        self.motion.put_back()
-        self.connection.put_back()
-        try:
-            yield
-        finally:
-            self._set_up()
-
-    def require_disabled(self, verb: str) -> None:
-        """Raise StateError unless the axis is disabled."""
-        state = self.sample().state
-        if state not in WITHOUT_POWER:
-            raise StateError(f"drive {self.name} cannot {verb}: it is {state.value}, disable it first")
-
-    def store_parameters(self, *, timeout_s: float = 10.0) -> None:
-        """1010h:1 := "save". Targets are made harmless before, as a drive may store them too; what was set up for this connection
-        alone (PDOs, heartbeats, speeds of moves) is restored meanwhile, so that it is not stored.
-
-        Raises StateError unless the axis is disabled, CapabilityError when the drive does not store on command.
-        """
-        self._require_command(objects.STORE_ALL, "store parameters")
-        self.motion.stay()
-        with self.as_found():
-            self.sdo.write_bytes(0x1010, 1, SAVE, timeout_s=timeout_s, reads_back=False)
-
-    def restore_defaults(self, *, timeout_s: float = 10.0) -> None:
-        """1011h:1 := "load": factory defaults, in force after the drive's next start (`restart`). Raises as `store_parameters`."""
-        self._require_command(objects.RESTORE_ALL, "restore defaults")
-        self.sdo.write_bytes(0x1011, 1, LOAD, timeout_s=timeout_s, reads_back=False)
-
-    def _require_command(self, entry: objects.Entry, verb: str) -> None:
-        self.require_disabled(verb)
-        if not self.sdo.read_if_there(entry, 0) & ON_COMMAND:
-            raise CapabilityError(f"drive {self.name}: {entry} is not done on command")
-
-    def restart(self, timeout_s: float = 5.0) -> None:
-        """Start the node anew (NMT reset node) and open it again: stored parameters or restored defaults come into force.
-
-        Raises StateError unless the axis is disabled, NoAnswerError when no boot-up comes within `timeout_s`.
-        """
-        self.require_disabled("be restarted")
-        before = self.monitor.boot_ups
-        self.monitor.expect_heartbeat(None)
-        self.monitor.command(NmtCommand.RESET_NODE)
-        started = self.link.wait(lambda: self.monitor.boot_ups > before, timeout_s)
-        self._release()
-        if not started:
-            raise NoAnswerError(
-                f"drive {self.name}: no boot-up of node {self.node_id} within {timeout_s:g} s of its reset"
-            )
-        self.open()
 
     # -- enabling --------------------------------------------------------------------------------------------------------
     def _enable(self) -> None:

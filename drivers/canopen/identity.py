@@ -13,7 +13,6 @@ from drivers.errors import AbortError, ProtocolError
 PROFILE = 402
 NO_PROFILE = 0
 """1000h of a device that names no profile, or lacks the object: the statusword 6041h tells a drive then."""
-_MOST_ERRORS = 254
 
 
 @dataclass(frozen=True)
@@ -59,11 +58,3 @@ def _text(sdo: SdoClient, entry: Entry) -> str:
 def stores_on_command(sdo: SdoClient) -> bool:
     """Whether 1010h:1 says that it stores on command; False for a drive that does not let it be read."""
     return bool(sdo.read_if_shown(objects.STORE_ALL, 0) & ON_COMMAND)
-
-
-def error_history(sdo: SdoClient) -> list[int]:
-    """1003h, the latest first; the lower 16 bits of each are an error code. Raises as `SdoClient.read`."""
-    count = min(sdo.read_if_there(objects.ERROR_HISTORY, 0), _MOST_ERRORS)
-    return [
-        sdo.read(Entry(0x1003, number, objects.DataType.U32, "standard error field")) for number in range(1, count + 1)
-    ]

@@ -7,17 +7,16 @@ restore (`not_parameters`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
-from drivers.canopen.eds import EdsEntry, EdsFile, Key
+from drivers.canopen.eds import EdsEntry, EdsFile
 from drivers.canopen.node import Node
 from drivers.canopen.not_parameters import why_not_written
 from drivers.canopen.objects import DataType
-from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError
+from drivers.errors import CapabilityError, InputError, ProtocolError
 
 Value = int | float | str | bytes | bool
-SAVE, LOAD = b"save", b"load"
+SAVE = b"save"
 ON_COMMAND = 0x01  # 1010h:1 and 1011h:1 when read
 
 
@@ -92,22 +91,3 @@ class CanOpenParameters:
             raise ProtocolError(
                 f"drive {self._node.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"
             )
-
-    # -- many ---------------------------------------------------------------------------------------------------------
-    def snapshot(
-        self, entries: Iterable[EdsEntry] | None = None, progress: Callable[[int, int], None] = lambda _done, _all: None
-    ) -> dict[Key, Access]:
-        """Values of all (or the given) readable entries; those that the drive refuses to read are left out.
-
-        The drive shows the settings of this connection too; within `CanOpenDrive.as_found` it shows those that it was found with.
-        """
-        wanted = list(self.readable() if entries is None else entries)
-        found: dict[Key, Access] = {}
-        for number, eds_entry in enumerate(wanted, start=1):
-            try:
-                found[eds_entry.entry.index, eds_entry.entry.subindex] = self.read(eds_entry)
-            except AbortError:
-                continue
-            finally:
-                progress(number, len(wanted))
-        return found
