@@ -392,21 +392,6 @@ class CanOpenDrive(StoppableDrive):
     # -- modes and profile moves -----------------------------------------------------------------------------------------
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         self.homing.under_way = False
-        self._move(position_load_mm, velocity_mm_s, after_the_present=False)
-
-    def queue_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
-        """Give a set-point (mm, mm/s) that follows the move in progress without a stop in between; the drive holds one.
-
-        Raises as `start_move`, and StateError when the drive holds one already. A drive that limits the move (bit 11) is halted with
-        LimitError: here, or by the `sample` that sees it begin the move.
-        """
-        self.limits.check_target(position_load_mm)
-        self.limits.check_velocity(velocity_mm_s)
-        self._require_enabled("move")
-        self._move(position_load_mm, velocity_mm_s, after_the_present=True)
-        self.destination_load_mm = position_load_mm
-
-    def _move(self, position_load_mm: float, velocity_mm_s: float, *, after_the_present: bool) -> None:
         self._require_units()
         velocity = self.units.velocity_units(velocity_mm_s)
         self.motion.check_velocity(velocity)
@@ -415,7 +400,6 @@ class CanOpenDrive(StoppableDrive):
                 self.scaling.motor_counts(position_load_mm),
                 velocity,
                 self.units.acceleration_units(self.limits.max_acceleration_mm_s2),
-                after_the_present=after_the_present,
             )
 
     def _start_velocity(self, velocity_mm_s: float) -> None:

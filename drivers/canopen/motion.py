@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 from drivers.canopen import objects
@@ -28,7 +28,6 @@ from drivers.errors import (
     FollowingErrorError,
     LimitError,
     ProtocolError,
-    StateError,
 )
 from drivers.scaling import MotionScaling
 from drivers.standstill import STILL_MM, Standstill
@@ -90,14 +89,6 @@ class _Way:
     target: int
 
 
-@dataclass(frozen=True)
-class _Queued:
-    """A following set-point that the drive holds. limited: whether bit 11 was set before it began, by the move before it."""
-
-    target: int
-    limited: bool
-
-
 class ProfileMotion:
     """Motion orders to one open drive. handshake_s and mode_s: longest time for the acknowledgement, s. strays: how far outside its
     path an axis may be meanwhile, counts. units: of its velocities and accelerations. modes: of 6060h, where the axis file names
@@ -141,8 +132,7 @@ class ProfileMotion:
         self.mode_unseen = False  # 6061h did not follow 6060h yet
         self._unshown: int | None = None  # target of a move whose begin did not clear bit 10
         self._streamed: StreamedMove | None = None  # of a drive without profile position
-        self._queued: _Queued | None = None
-        self._going: tuple[int, ...] = ()  # targets of the move in progress and of the one that follows it
+        self._going: tuple[int, ...] = ()  # target of the move in progress
 
     def supports(self, mode: Mode) -> bool:
         """Whether 6502h lists the mode."""
@@ -308,40 +298,27 @@ class ProfileMotion:
             self.mode = mode_of(value)
 
     # -- profile position ------------------------------------------------------------------------------------------------
-    def move(self, target: int, velocity: int, acceleration: int, *, after_the_present: bool = False) -> None:
+    def move(self, target: int, velocity: int, acceleration: int) -> None:
         """Give an absolute set-point, counts and the drive's units of velocity and acceleration; returns once it is acknowledged.
 
-        It replaces the move in progress, or follows it where `after_the_present` (the drive holds one such set-point). Raises
-        StateError when it holds one already, before anything is written, LimitError when the drive limits the target, ProtocolError
-        for a handshake that is not acknowledged, FollowingErrorError for an axis that moves elsewhere meanwhile, DriveFaultError.
+        It replaces the move in progress. Raises LimitError when the drive limits the target, ProtocolError for a handshake that is not
+        acknowledged, FollowingErrorError for an axis that moves elsewhere meanwhile, DriveFaultError.
         """
         if not self.supports(Mode.PROFILE_POSITION) and self.streaming_mode is not None:
-            if after_the_present:
-                raise CapabilityError(f"{self._sdo.name} has no profile position: it takes no following set-point")
             self._move_by_set_points(target, velocity, acceleration)
             return
         way = self._way(target, velocity, acceleration)
-        if (
-            after_the_present
-            and self.mode is Mode.PROFILE_POSITION
-            and not self._await_status(_not_acknowledged, POLL_S)
-        ):
-            raise StateError(f"{self._sdo.name}: it holds a following set-point already")
         self.set_mode(Mode.PROFILE_POSITION)
         self.set(objects.PROFILE_VELOCITY, velocity)
         self._set_ramps(acceleration)
         self.set(objects.TARGET_POSITION, target, always=True)
         distance, self._unshown = abs(target - self._sampler.position_counts), None
         limited_before = self._sampler.statusword & Status.INTERNAL_LIMIT
-        self._queued = None
-        flags = Control(0) if after_the_present else Control.CHANGE_IMMEDIATELY
-        self._hand_over(flags, way, wait_until_free=not after_the_present)
-        self._going = (*self._going[-1:], target) if after_the_present else (target,)
+        self._hand_over(way)
+        self._going = (target,)
         if self._sampler.statusword & Status.INTERNAL_LIMIT and not limited_before:
             self._refuse_limited(target)
-        if after_the_present:
-            self._queued = _Queued(target, bool(limited_before))
-        elif distance > self._position_window():
+        if distance > self._position_window():
             # a drive may show the arrival of the move before for a cycle or two; one that shows it all the time is not believed
             fell = self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
             self._unshown = None if fell else target
@@ -475,8 +452,8 @@ class ProfileMotion:
         window = max(self._position_window(), ARRIVED_COUNTS)
         return streamed.fed and abs(self._sampler.position_counts - streamed.target) <= window
 
-    def _feed(self, status: int) -> None:
-        """The next set-point of a move without profile position. A stop or a halt ends it."""
+    def feed(self, status: int) -> None:
+        """At a sample: the next set-point of a move without profile position. A stop or a halt ends it."""
         streamed = self._streamed
         if streamed is None:
             return
@@ -492,7 +469,7 @@ class ProfileMotion:
             self.set(entry, place, always=True)
 
     def _way(self, target: int, velocity: int, acceleration: int) -> _Way | None:
-        """From where the axis is to the target, by way of those that the drive holds, and what it needs to brake; None for an axis in
+        """From where the axis is to the target, by way of the one that it moves to, and what it needs to brake; None for an axis in
         another mode, whose motion until the set-point is taken has no end that is known."""
         if self.mode is not Mode.PROFILE_POSITION:
             return None
@@ -503,22 +480,6 @@ class ProfileMotion:
         speed_counts, ramp_counts = speed * self._units.velocity.counts, acceleration * self._units.acceleration.counts
         beyond = self._strays + round(speed_counts * speed_counts / (2 * ramp_counts))
         return _Way(min(places) - beyond, max(places) + beyond, target)
-
-    def look(self, status: int) -> None:
-        """Evaluate a sample: a following set-point that the drive has begun. Raises LimitError once, with the axis halted, where the
-        drive limits it. The next set-point of a move without profile position goes out here."""
-        self._feed(status)
-        queued = self._queued
-        if queued is None:
-            return
-        if self.mode is not Mode.PROFILE_POSITION or decode_state(status) is not DriveState.ENABLED:
-            self._queued = None
-        elif _acknowledged(status):  # it waits
-            self._queued = replace(queued, limited=bool(status & Status.INTERNAL_LIMIT))
-        else:
-            self._queued = None
-            if status & Status.INTERNAL_LIMIT and not queued.limited:
-                self._refuse_limited(queued.target)
 
     def _refuse_limited(self, target: int) -> None:
         """The drive limits this target to its own software limits: stop instead of arriving elsewhere. Raises LimitError."""
@@ -537,7 +498,7 @@ class ProfileMotion:
             window = self._written[objects.POSITION_WINDOW] = self._sdo.read_if_there(objects.POSITION_WINDOW, 0)
         return window
 
-    def _hand_over(self, flags: Control, way: _Way | None, *, wait_until_free: bool) -> None:
+    def _hand_over(self, way: _Way | None) -> None:
         """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken.
 
         Raises ProtocolError where a step is not acknowledged in time."""
@@ -545,15 +506,15 @@ class ProfileMotion:
         if self._power.controlword != RUN:
             self._power.write(RUN)
             self.halted = False
-        if wait_until_free and not self._await_status(_not_acknowledged, timeout_s, way):
+        if not self._await_status(_not_acknowledged, timeout_s, way):
             raise ProtocolError(f"{name}: set-point acknowledge (bit 12) stays set, no set-point can be given")
-        self._power.write_edge(RUN | Control.NEW_SETPOINT | flags)
+        self._power.write_edge(RUN | Control.NEW_SETPOINT | Control.CHANGE_IMMEDIATELY)
         taken = self._await_status(_acknowledged, timeout_s, way)
         self._power.write(RUN)
         if not taken:
             raise ProtocolError(f"{name}: the set-point was not acknowledged within {timeout_s:g} s")
-        if wait_until_free:  # some hold bit 12 until the arrival: the axis is not left unwatched for that
-            self._await_status(_not_acknowledged, min(FREE_S, timeout_s), way)
+        # some hold bit 12 until the arrival: the axis is not left unwatched for that
+        self._await_status(_not_acknowledged, min(FREE_S, timeout_s), way)
 
     def _await_status(self, condition: Callable[[int], bool], timeout_s: float, way: _Way | None = None) -> bool:
         """Sample statusword and position; False when the condition did not hold in time. Raises DriveFaultError when a fault comes,

@@ -123,7 +123,7 @@ class StoppableDrive(ServoDrive):
         velocity = self.sampler.values.get(objects.VELOCITY_ACTUAL)
         slow = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
         self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
-        self.motion.look(status)
+        self.motion.feed(status)
         sample = self._as_sample()
         if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
             self._watch_travel(sample.position_load_mm, sample.velocity_mm_s)

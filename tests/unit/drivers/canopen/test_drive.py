@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -318,44 +317,6 @@ def test_the_handshake_on_the_wire(make: MakeRig) -> None:
     assert rig.number(0x6081) == 500_000
 
 
-def test_a_following_set_point_is_started_when_the_first_is_reached(make: MakeRig) -> None:
-    rig = make()
-    drive = rig.enabled()
-    drive.start_move(20.0, 50.0)
-    drive.queue_move(-10.0, 100.0)
-    with pytest.raises(StateError, match="holds a following set-point already"):
-        drive.queue_move(0.0, 50.0)
-    rig.run(0.3)
-    assert 0.0 < drive.sample().position_load_mm < 20.0
-    peak = 0.0
-    for _ in range(200):
-        rig.run(0.01)
-        peak = max(peak, drive.sample().position_load_mm)
-    assert peak == pytest.approx(20.0, abs=0.01)
-    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-    assert drive.sample().position_load_mm == pytest.approx(-10.0, abs=1e-3)
-
-
-def test_a_drive_without_room_for_a_set_point_says_so(make: MakeRig) -> None:
-    """Bit 12 stays set while a following set-point waits: nothing can be handed over, and nothing is lost in silence."""
-    rig = make(handshake_timeout_s=0.2)
-    drive = rig.enabled()
-    drive.start_move(150.0, 50.0)
-    drive.queue_move(-10.0, 100.0)
-    with pytest.raises(ProtocolError, match=r"bit 12\) stays set"):
-        drive.start_move(5.0, 50.0)
-
-
-def test_a_new_target_is_handed_over_when_there_is_room_again(make: MakeRig) -> None:
-    rig = make()
-    drive = rig.enabled()
-    drive.start_move(20.0, 50.0)
-    drive.queue_move(-10.0, 100.0)
-    drive.start_move(5.0, 50.0)  # taken when the first is reached and the second started
-    arrived = drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-    assert arrived.position_load_mm == pytest.approx(5.0, abs=1e-3)
-
-
 def test_halt_holds_and_resume_goes_on(make: MakeRig) -> None:
     rig = make()
     drive = rig.enabled()
@@ -514,33 +475,6 @@ def test_a_target_that_the_drive_would_clip_is_refused(make: MakeRig) -> None:
     assert drive.sample().velocity_mm_s == 0.0
     assert drive.sample().position_load_mm < 1.0
     drive.start_move(20.0, 50.0)
-    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-
-
-@pytest.mark.parametrize("at_once", [True, False], ids=["when it takes it", "when it begins it"])
-def test_a_following_target_that_the_drive_would_clip_is_refused(make: MakeRig, at_once: bool) -> None:
-    """Whenever the drive shows bit 11, which until then may belong to the move under way."""
-    rig = make(parameters={(0x607D, 1): -500_000, (0x607D, 2): 500_000})
-    drive = rig.enabled()
-    profile = rig.bench.slave.profile
-    shown = profile._true_statusword
-    if not at_once:
-        profile._true_statusword = lambda: shown() & ~(0 if profile._buffered is None else 0x0800)  # type: ignore[method-assign]
-    drive.start_move(5.0, 50.0)
-    order = partial(drive.queue_move, 100.0, 50.0)
-    if not at_once:
-        order()
-        order = partial(drive.wait_for, lambda sample: sample.target_reached, 5.0, "arrived")  # type: ignore[assignment]
-    with pytest.raises(LimitError, match=r"limits the target 1000000 to its own software limits \(607Dh\)"):
-        order()
-    rig.run(0.5)
-    assert drive.sample().velocity_mm_s == 0.0
-    assert drive.sample().position_load_mm < 10.0, "not at 50 mm, where the drive's own limit is"
-    drive.start_move(20.0, 50.0)
-    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-    drive.start_move(30.0, 50.0)
-    drive.queue_move(40.0, 50.0)
-    assert drive.destination_load_mm == 40.0
     drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
 
 

@@ -585,16 +585,6 @@ def test_an_axis_that_moves_elsewhere_while_it_takes_a_set_point_is_stopped_at_o
     rig.assert_without_power_at_rest()
 
 
-def test_a_set_point_that_replaces_a_move_has_the_way_of_that_one_too(make: MakeRig) -> None:
-    """The drive goes on to the old target until it takes the new one, and brakes."""
-    rig = make()
-    drive = rig.moving(200.0)
-    drive.queue_move(250.0, 200.0)
-    with pytest.raises(ProtocolError, match="no set-point can be given"):
-        drive.start_move(20.0, 200.0)
-    rig.assert_without_power_at_rest()
-
-
 def test_a_way_out_whose_last_request_was_answered_by_chance_is_not_begun_anew() -> None:
     clock = SimClock()
     way_out = WayOut(clock.now_ns)
@@ -613,16 +603,6 @@ def test_a_way_out_whose_last_request_was_answered_by_chance_is_not_begun_anew()
     with way_out:
         way_out.account(answered=False)
         assert way_out.limit_ns == clock.now_ns() + round(WAY_OUT_S * 1e9)
-
-
-def test_a_set_point_that_is_refused_while_the_drive_holds_one_leaves_the_axis_alone(make: MakeRig) -> None:
-    rig = make()
-    drive = rig.moving(50.0)
-    drive.queue_move(0.0, 50.0)
-    with pytest.raises(StateError, match="holds a following set-point already"):
-        drive.queue_move(10.0, 50.0)
-    assert rig.servo.powered
-    assert rig.servo.velocity_actual_counts_s == pytest.approx(500_000, rel=0.02)
 
 
 def test_an_interrupt_in_the_middle_of_an_order_sends_a_stop(make: MakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
