@@ -10,6 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
+from drivers import cia402_words
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
 from drivers.canopen.node import error_text
@@ -30,7 +31,7 @@ from drivers.errors import (
     ProtocolError,
 )
 from drivers.scaling import MotionScaling
-from drivers.standstill import STILL_MM, Standstill
+from drivers.standstill import Standstill, arrived_within_counts
 from drivers.undo import undo_all
 
 POLL_S = 0.001
@@ -58,8 +59,6 @@ SAME_SHARE = 1e-3
 """Share by which a drive's own limit may lie below the axis file's without a note: rounding to its units."""
 TRY_S = 0.05
 """Time in which a drive at rest shows a mode that it takes, s: five slow control cycles."""
-ARRIVED_COUNTS = 2
-"""Smallest window of an arrival that the drive does not show itself, counts: an axis at rest may stand between two."""
 FREE_S = 0.05
 """Time in which a drive takes bit 12 back once bit 4 has fallen, s: five slow control cycles. The next set-point waits longer."""
 LOOK_S = 0.01
@@ -127,12 +126,14 @@ class ProfileMotion:
         self._limits: dict[Entry, int] = {}  # of the drive's own, as far as it states them
         self.notes: list[str] = []
         self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
+        self._window = cia402_words.window(sdo.read_if_shown(objects.POSITION_WINDOW, 0)) or 0  # counts
         self.supported_modes = self._modes(modes)
         self.halted = False
         self.mode_unseen = False  # 6061h did not follow 6060h yet
         self._unshown: int | None = None  # target of a move whose begin did not clear bit 10
         self._streamed: StreamedMove | None = None  # of a drive without profile position
         self._going: tuple[int, ...] = ()  # target of the move in progress
+        self._judged = False  # bit 11 was compared with it
 
     def supports(self, mode: Mode) -> bool:
         """Whether 6502h lists the mode."""
@@ -194,7 +195,7 @@ class ProfileMotion:
         if mode not in (Mode.PROFILE_POSITION, Mode.HOMING):
             self.stay()
         self._remember(objects.MODE)
-        self._going = ()
+        self._going, self._streamed, self._unshown = (), None, None
         self._sdo.write(objects.MODE, mode)
         shown = self._shown_mode(mode, self._mode_s)
         self.mode_unseen = shown != mode
@@ -312,13 +313,11 @@ class ProfileMotion:
         self.set(objects.PROFILE_VELOCITY, velocity)
         self._set_ramps(acceleration)
         self.set(objects.TARGET_POSITION, target, always=True)
-        distance, self._unshown = abs(target - self._sampler.position_counts), None
-        limited_before = self._sampler.statusword & Status.INTERNAL_LIMIT
+        distance, self._unshown, self._judged = abs(target - self._sampler.position_counts), None, False
         self._hand_over(way)
         self._going = (target,)
-        if self._sampler.statusword & Status.INTERNAL_LIMIT and not limited_before:
-            self._refuse_limited(target)
-        if distance > self._position_window():
+        self._judge_limit(self._sampler.statusword)
+        if distance > self._window:
             # a drive may show the arrival of the move before for a cycle or two; one that shows it all the time is not believed
             fell = self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
             self._unshown = None if fell else target
@@ -327,7 +326,7 @@ class ProfileMotion:
     def _limit(self, entry: Entry) -> int:
         """A limit that the drive states, in its units; 0 where it states none."""
         if entry not in self._limits:
-            self._limits[entry] = max(0, self._sdo.read_if_shown(entry, 0))
+            self._limits[entry] = cia402_words.limit(self._sdo.read_if_shown(entry, 0)) or 0
         return self._limits[entry]
 
     def note_limits(self, velocity_mm_s: float, acceleration_mm_s2: float) -> None:
@@ -442,18 +441,17 @@ class ProfileMotion:
     def arrived(self) -> bool | None:
         """Of a move by set-points, or one whose begin did not clear bit 10: whether the axis is at its target; None where the drive
         itself says it (bit 10)."""
-        if self._unshown is not None and self.mode is Mode.PROFILE_POSITION:
-            near = max(self._position_window(), ARRIVED_COUNTS, STILL_MM * self._units.scaling.counts_per_load_mm)
-            speed = self._units.mm_s(self._sampler.values.get(objects.VELOCITY_ACTUAL, 0))
-            return abs(self._sampler.position_counts - self._unshown) <= near and Standstill.is_slow(speed)
         streamed = self._streamed
-        if streamed is None:
+        target = self._unshown if streamed is None else streamed.target
+        if target is None:
             return None
-        window = max(self._position_window(), ARRIVED_COUNTS)
-        return streamed.fed and abs(self._sampler.position_counts - streamed.target) <= window
+        near = arrived_within_counts(self._units.scaling.counts_per_load_mm, self._window)
+        speed = self._units.mm_s(self._sampler.values.get(objects.VELOCITY_ACTUAL, 0))
+        at_rest = (streamed is None or streamed.fed) and Standstill.is_slow(speed)
+        return at_rest and abs(self._sampler.position_counts - target) <= near
 
-    def feed(self, status: int) -> None:
-        """At a sample: the next set-point of a move without profile position. A stop or a halt ends it."""
+    def _feed(self, status: int) -> None:
+        """The next set-point of a move without profile position. A stop or a halt ends it."""
         streamed = self._streamed
         if streamed is None:
             return
@@ -481,22 +479,34 @@ class ProfileMotion:
         beyond = self._strays + round(speed_counts * speed_counts / (2 * ramp_counts))
         return _Way(min(places) - beyond, max(places) + beyond, target)
 
-    def _refuse_limited(self, target: int) -> None:
-        """The drive limits this target to its own software limits: stop instead of arriving elsewhere. Raises LimitError."""
-        self.halt()
-        low, high = (
-            self._sdo.read_if_there(objects.SOFTWARE_LIMIT_MIN, 0),
-            self._sdo.read_if_there(objects.SOFTWARE_LIMIT_MAX, 0),
-        )
-        raise LimitError(
-            f"{self._sdo.name}: the drive limits the target {target} to its own software limits (607Dh) {low} to {high}"
-        )
+    def look(self, status: int) -> None:
+        """Evaluate a sample: bit 11 on the way to a target, see `_judge_limit`. The next set-point of a move without profile position
+        goes out here."""
+        self._feed(status)
+        if self.mode is Mode.PROFILE_POSITION and decode_state(status) is DriveState.ENABLED:
+            self._judge_limit(status)
 
-    def _position_window(self) -> int:
-        window = self._written.get(objects.POSITION_WINDOW)
-        if window is None:
-            window = self._written[objects.POSITION_WINDOW] = self._sdo.read_if_there(objects.POSITION_WINDOW, 0)
-        return window
+    def _judge_limit(self, status: int) -> None:
+        """Bit 11 has many causes, such as current or velocity: it means 607Dh where the target lies outside. Then the axis is halted
+        instead of arriving elsewhere, and LimitError is raised once; else it is noted."""
+        if not (status & Status.INTERNAL_LIMIT and self._going) or self._judged:
+            return
+        self._judged, read = True, self._sdo.read_if_there
+        low, high = read(objects.SOFTWARE_LIMIT_MIN, 0), read(objects.SOFTWARE_LIMIT_MAX, 0)
+        if cia402_words.software_limits(low, high) is not None:
+            home = read(objects.HOME_OFFSET, 0)  # the standard shifts the limits by it, not every drive does
+            for target in self._going:
+                if not max(low, low - home) <= target <= min(high, high - home):
+                    self.halt()
+                    raise LimitError(
+                        f"{self._sdo.name}: the drive limits the target {target} to its own software limits (607Dh) {low} to {high}"
+                    )
+        said = (
+            f"{self._sdo.name} shows an internal limit (bit 11 of the statusword) on the way to a target that 607Dh allows:"
+            " its current or velocity may be limited; the move goes on"
+        )
+        if said not in self.notes:
+            self.notes.append(said)
 
     def _hand_over(self, way: _Way | None) -> None:
         """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken.

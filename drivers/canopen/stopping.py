@@ -108,7 +108,7 @@ class StoppableDrive(ServoDrive):
 
         Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
         DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a velocity run comes to the
-        end of the travel, and (with a halt) when the drive begins a queued move that it limits.
+        end of the travel, and (with a halt) when the drive limits the target of the move in progress.
         """
         self._require_open()
         self.sampler.refresh()
@@ -123,7 +123,7 @@ class StoppableDrive(ServoDrive):
         velocity = self.sampler.values.get(objects.VELOCITY_ACTUAL)
         slow = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
         self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
-        self.motion.feed(status)
+        self.motion.look(status)
         sample = self._as_sample()
         if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
             self._watch_travel(sample.position_load_mm, sample.velocity_mm_s)
@@ -266,7 +266,7 @@ class StoppableDrive(ServoDrive):
                 sampler.heard_ns,
                 self.scaling.load_mm(sampler.position_counts),
                 None if velocity is None else self.units.load_mm_s(velocity),
-                reached=bool(status & Status.TARGET_REACHED),
+                reached=bool(status & Status.TARGET_REACHED) if self.motion.arrived() is None else None,
             )
             if stands or decode_state(status) in WITHOUT_TORQUE:
                 return True

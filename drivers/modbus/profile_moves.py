@@ -16,6 +16,7 @@ from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import Handshake
 from drivers.modbus.drive_values import Unit
 from drivers.modbus.orders import hold
+from drivers.standstill import Standstill, arrived_within_counts
 
 
 @dataclass(frozen=True)
@@ -29,10 +30,12 @@ class Move:
 
 
 class ProfileMoves:
-    """The moves of one drive. under_way: the last move begun, None after another order has moved the axis."""
+    """The moves of one drive. under_way: the last move begun, None after another order has moved the axis. unshown: "in position" did
+    not go at its begin, so that it does not tell its end."""
 
     def __init__(self, unit: Unit, limits: DriveLimits) -> None:
         self.under_way: Move | None = None
+        self.unshown = False
         self._unit = unit
         self._limits = limits
 
@@ -96,7 +99,7 @@ class ProfileMoves:
         move, orders = self._unit.map.move, self._unit.orders
         with self.target_kept():
             orders.write(planned.written)
-        self.under_way = planned
+        self.under_way, self.unshown = planned, False
         orders.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
         orders.wait_for(move.accepted, "new target to be accepted", move.timeout_s)
         orders.give(move.release)
@@ -105,19 +108,29 @@ class ProfileMoves:
 
     def reached(self, raw: dict[str, Raw]) -> bool:
         """Whether the drive shows "in position", and its position is the target of the move in progress."""
-        move = self._unit.map.move
+        move, values = self._unit.map.move, self._unit.values
         if not hold(move.reached, raw):
             return False
-        if self.under_way is None or move.window is None:
+        if self.under_way is None or (move.window is None and not self.unshown):
             return True
-        off_counts = abs(self._unit.values.position_counts(raw) - self.under_way.target_counts)
-        return off_counts <= self._unit.values.window_counts()
+        off_counts = abs(values.position_counts(raw) - self.under_way.target_counts)
+        if not self.unshown:
+            return off_counts <= values.window_counts()
+        return off_counts <= self._near_counts() and Standstill.is_slow(
+            values.load_mm(raw, self._unit.map.velocity) or 0.0
+        )
+
+    def _near_counts(self) -> float:
+        """Largest distance of an arrival that the drive does not show, counts: one step of its position at least."""
+        values, position = self._unit.values, self._unit.map.position
+        step = abs(values.counts(1, position) - values.counts(0, position))
+        return max(step, arrived_within_counts(self._unit.scaling.counts_per_load_mm, values.window_counts()))
 
     def _reached_now(self) -> bool:
         return self.reached(self._unit.access.read(self._unit.map.sampled()))
 
     def _await_departure(self, move: Move) -> None:
-        """Wait until "in position" of the last move goes, so that it is not taken for the end of this one.
+        """Wait until "in position" of the last move goes, so that it is not taken for the end of this one, unless it is `unshown`.
 
         Raises MotionTimeoutError when the drive accepted the target but does not move and shows "in position".
         """
@@ -129,10 +142,10 @@ class ProfileMoves:
             lambda: not self._reached_now(), min(longest_s, self._unit.map.move.timeout_s)
         ):
             return
-        left = abs(
-            self._unit.values.position_counts(self._unit.access.read([self._unit.map.position])) - move.target_counts
-        )
-        if left > max(1.0, 0.5 * way_counts):
+        here = self._unit.values.position_counts(self._unit.access.read([self._unit.map.position]))
+        self.unshown = True
+        near = self._near_counts()
+        if abs(here - move.target_counts) > max(near, 0.5 * way_counts) and abs(here - move.start_counts) <= near:
             raise MotionTimeoutError(
                 f"drive {self._unit.name}: accepted a target {way_mm:.6f} mm away, says it is in position, and does not move"
             )

@@ -363,7 +363,7 @@ class Supervisor:
         """Raises FollowingErrorError, with all axes stopped, for an arrival outside the tolerance."""
         if abs(sample.position_load_mm - target_mm) > within_mm:
             with self.stopping_on_error():
-                limited = ", its internal limit is active: a target beyond a software limit" if sample.limited else ""
+                limited = ", a limit of its own is active: of current, velocity or position" if sample.limited else ""
                 raise FollowingErrorError(
                     f"drive {axis.drive.name} says it arrived, but is at {sample.position_load_mm:.4f} mm,"
                     f" expected {target_mm:.4f} mm{limited}"

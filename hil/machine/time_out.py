@@ -39,10 +39,10 @@ def likely_reason(motion: Motion, sample: DriveSample, speed_mm_s: float) -> str
         if abs(left_mm) <= BEHIND_MM:
             return "it does not come to rest at its target"
         return f"still under way, slower than the {motion.speed_mm_s:g} mm/s asked for: an override, or a speed limit of the drive"
-    if sample.limited:
-        return "a target beyond a software limit of the drive, whose internal limit is active"
     if torque >= PUSHES_PERCENT:
         return "an end stop or a jam: it stands and pushes"
+    if sample.limited:
+        return "an internal limit of the drive that is active: of its current, velocity or position"
     if behind >= BEHIND_MM:
         return (
             "a following error: it stands, and its set-point is elsewhere (an end stop, a jam, a brake that is closed)"

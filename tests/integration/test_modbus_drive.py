@@ -257,6 +257,23 @@ def test_a_drive_that_says_it_is_there_and_does_not_move_is_found_out() -> None:
             drive.start_move(50.0, 10.0)
 
 
+@pytest.mark.parametrize("window", [10, 0xFFFF_FFFF])
+@pytest.mark.parametrize("distance_mm", [100.0, 3.0])
+def test_in_position_all_the_time_is_no_arrival(window: int, distance_mm: float) -> None:
+    """As Leadshine's 2CS3E shows bit 10, and any drive whose window (6067h) is wider than the move."""
+    with rig(CIA402) as r, r.drive as drive:
+        assert isinstance(r.face, Cia402Registers)
+        r.face.dictionary.set_number(0x6067, 0, window)
+        word = r.face.profile._true_statusword
+        r.face.profile._true_statusword = lambda: word() | 0x0400  # type: ignore[method-assign]
+        drive.enable()
+        drive.start_move(distance_mm, 20.0)
+        drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
+        assert r.servo.position_actual_counts / 10_000 == pytest.approx(distance_mm, abs=0.006)
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True and sample.target_reached, 5.0, "homed")
+
+
 @pytest.mark.parametrize(
     ("defect", "what"),
     [

@@ -9,6 +9,7 @@ from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import partial
 
+from drivers.cia402_words import window
 from drivers.clock import NS_PER_S, Waiting, WallClock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import BridgeError, LinkLostError, StateError
@@ -61,10 +62,6 @@ def to_axis(axis: DriveAxis) -> Connect:
     return connect
 
 
-_OFF = 0xFFFF_FFFF
-"""Following error window that supervises nothing (CiA 402, 6065h)."""
-
-
 def limits_of(drive: ServoDrive) -> SignalLimits:
     """What an open drive says that it allows, by its parameters `max_torque` (6072h) and `following_error_window` (6065h)."""
 
@@ -76,7 +73,8 @@ def limits_of(drive: ServoDrive) -> SignalLimits:
             raise
         except BridgeError:  # it has no parameters, not this one, or refuses it
             return None
-        return per * value if per is not None and isinstance(value, int | float) and 0 < value < _OFF else None
+        allowed = window(value) if isinstance(value, int | float) else None
+        return per * allowed if per is not None and allowed else None
 
     um_per_count = UM_PER_MM / abs(drive.scaling.counts_per_load_mm)
     return SignalLimits(

@@ -478,6 +478,78 @@ def test_a_target_that_the_drive_would_clip_is_refused(make: MakeRig) -> None:
     drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
 
 
+def _always_in_position(word: int, _since_s: float) -> int:
+    return word | 0x0400
+
+
+def _in_position_goes_late(word: int, since_s: float) -> int:
+    return word | (0x0400 if since_s < 0.2 else 0)
+
+
+@pytest.mark.parametrize("modes", [0x3FF, 0x0A0], ids=["profile position", "set-points only"])
+@pytest.mark.parametrize("shown", [_always_in_position, _in_position_goes_late])
+@pytest.mark.parametrize("window", [10, 0xFFFF_FFFF, 0x7FFF_FFFF])
+def test_no_window_is_not_one_of_all_positions(
+    make: MakeRig, window: int, shown: Callable[[int, float], int], modes: int
+) -> None:
+    """6067h = FFFFFFFFh switches the window off (CiA 402-2; as delivered of EPOS4 and TMCM); Leadshine's 2CS3E shows bit 10 always."""
+    rig = make(
+        parameters={(0x6067, 0): window, (0x6502, 0): modes}, homing=HomingSettings(method=37, home_position_mm=0.0)
+    )
+    profile, clock = rig.bench.slave.profile, rig.bench.clock
+    word, begun_ns = profile._true_statusword, clock.now_ns()
+    profile._true_statusword = lambda: shown(word(), (clock.now_ns() - begun_ns) / 1e9)  # type: ignore[method-assign]
+    drive = rig.enabled()
+    for target_mm in (30.0, 29.0):
+        begun_ns = clock.now_ns()
+        drive.start_move(target_mm, 50.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        assert rig.bench.servo.position_actual_counts / 10_000 == pytest.approx(target_mm, abs=0.006)
+    drive.start_homing()  # which the move before must not end, nor keep from ending
+    drive.wait_for(lambda sample: sample.homed is True and sample.target_reached, 2.0, "homed")
+    assert drive.sample().position_load_mm == pytest.approx(0.0, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("limits", "home_offset"),
+    [((-(2**31), 2**31 - 1), 0), ((0, 0), 0), ((-100, 100_100), 0), ((-60_000, 200_000), -50_000)],
+    ids=["wide", "none", "just beyond", "shifted by 607Ch"],
+)
+def test_bit_11_by_the_current_ends_no_move(make: MakeRig, limits: tuple[int, int], home_offset: int) -> None:
+    """ros_canopen PR 461, maxon_epos4_ros1 issue 3: a drive shows bit 11 while its current saturates."""
+    rig = make(parameters={(0x607D, 1): limits[0], (0x607D, 2): limits[1], (0x607C, 0): home_offset})
+    profile = rig.bench.slave.profile
+    word = profile._true_statusword
+    profile._true_statusword = lambda: word() | (0x0800 if rig.bench.servo.velocity_actual_counts_s else 0)  # type: ignore[method-assign]
+    drive = rig.enabled()
+    for target_mm in (10.0, 5.0):
+        drive.start_move(target_mm, 50.0)
+        limited = drive.wait_for(lambda sample: sample.position_load_mm > 5.5, 2.0, "half way").limited
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+        assert drive.sample().position_load_mm == pytest.approx(target_mm, abs=1e-3)
+    assert limited
+    assert len([note for note in drive.notes if "bit 11" in note]) == 1
+
+
+@pytest.mark.parametrize(
+    ("later", "target_mm", "home_offset"), [(False, 60.0, 0), (True, 60.0, 0), (False, 45.0, 100_000)]
+)
+def test_bit_11_by_the_current_hides_no_limit(make: MakeRig, later: bool, target_mm: float, home_offset: int) -> None:
+    rig = make(parameters={(0x607D, 1): -500_000, (0x607D, 2): 500_000, (0x607C, 0): home_offset})
+    profile, servo = rig.bench.slave.profile, rig.bench.servo
+    word = profile._true_statusword
+    profile._true_statusword = lambda: (  # type: ignore[method-assign]
+        word() & ~0x0800 | (0x0800 if not later or abs(servo.position_actual_counts) > 100_000 else 0)
+    )
+    drive = rig.enabled()
+    with pytest.raises(LimitError, match=r"limits the target \d+ to its own software limits \(607Dh\)"):  # noqa: PT012
+        drive.start_move(target_mm, 50.0)
+        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    rig.run(0.5)
+    assert drive.sample().velocity_mm_s == 0.0
+    assert servo.position_actual_counts < 150_000
+
+
 def test_the_dictionary_file_is_asked_before_mapping(make: MakeRig, tmp_path: Path) -> None:
     text = EDS.read_text(encoding="utf-8").replace(
         "ParameterName=Torque actual value\nObjectType=0x7\nDataType=0x0003\nAccessType=ro\nPDOMapping=1",

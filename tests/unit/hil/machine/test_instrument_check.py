@@ -314,7 +314,7 @@ def test_an_overshoot_of_a_tenth_is_none() -> None:
     ("trouble", "words"),
     [
         (lambda at: Trouble(stuck_at_s=at, torque_percent=180.0), "likely an end stop or a jam: it stands and pushes"),
-        (lambda at: Trouble(stuck_at_s=at, limited=True), "likely a target beyond a software limit"),
+        (lambda at: Trouble(stuck_at_s=at, limited=True), "likely an internal limit of the drive"),
         (lambda at: Trouble(stuck_at_s=at), "likely it stands, and the drive's set-point too"),
         (lambda at: Trouble(faster=0.05), r"likely still under way, slower than the 50 mm/s asked for"),
     ],
