@@ -176,6 +176,12 @@ class Rise:
         return {"shape": self.shape.name, "amounts_um": list(self.amounts_um), "lengths_mm": list(self.lengths_mm)}
 
 
+def rise_of(form: TwoTanh) -> Rise:
+    """The published two terms as a rise."""
+    lengths = (form.rise_1_mm, form.rise_2_mm, form.onset_2_mm)
+    return Rise(TWO_TANH, (form.amount_1_um, form.amount_2_um), lengths)
+
+
 def rise_from_json(obj: object, where: str) -> Rise:
     """A rise from plain values. Raises InputError naming `where` for anything that is not exactly one."""
     if not isinstance(obj, Mapping) or set(obj) != {"shape", "amounts_um", "lengths_mm"}:

@@ -6,6 +6,7 @@ import argparse
 import os
 import sys
 
+from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.app.terminal.axis_options import (
     add_axis_arguments,
@@ -23,7 +24,8 @@ from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
-from hil.correction.rise import RUNNABLE
+from hil.correction.published_rise import TwoTanh
+from hil.correction.rise import RUNNABLE, Rise, rise_of
 from hil.correction.store import SealedStore, bound_tables
 from hil.lost_motion.job import (
     MeasuredLostMotion,
@@ -42,6 +44,7 @@ example:
   hil lost-motion X.toml --dry-run                   what would move, how far, and how long it takes
   hil lost-motion X.toml --report lost-motion.html   measure, fit, prove, and store it beside the axis's tables
   hil lost-motion X.toml --shape two-tanh            with the published two terms, whichever shape fits best
+  hil lost-motion X.toml --typed 4,3,0.02,0.4,0.1    the published terms as typed: Pc1, Pc2 µm, a1, a2, b2 mm of the load's travel
   hil lost-motion X.toml --only-measure              store nothing; needs no key
   hil circle X.toml Y.toml --report circle.html      the circle test with it
 
@@ -69,7 +72,13 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument(
         "--shape",
         choices=list(_SHAPES),
-        help="of the rise (default: two tanh, unless another is better by a tenth on strokes held out)",
+        help="of the rise (default: two tanh, unless another leaves less, by more than the noise, and in the proof too)",
+    )
+    parser.add_argument(
+        "--typed",
+        type=_two_tanh,
+        metavar="PC1,PC2,A1,A2,B2",
+        help="two tanh terms with these amounts (µm), rises and onset (mm) in place of fitted ones; strokes and proof as always",
     )
     parser.add_argument("--resume", action="store_true", help="continue an interrupted measurement")
     parser.add_argument("--seed", type=seed, default=1, help="chooses the moves of the proof (default 1)")
@@ -80,11 +89,24 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.set_defaults(run=run, resumes="lost-motion")
 
 
+def _two_tanh(text: str) -> Rise:
+    try:
+        amount_1, amount_2, rise_1, rise_2, onset_2 = (float(value) for value in text.split(","))
+        form = TwoTanh(amount_1, amount_2, rise_1, rise_2, onset_2)
+    except (ValueError, InputError) as error:
+        raise argparse.ArgumentTypeError(
+            f"'{text}': expected Pc1,Pc2,a1,a2,b2 as five numbers, amounts ≥ 0 in µm, a1 and a2 > 0 and b2 ≥ 0 in mm ({error})"
+        ) from error
+    return rise_of(form)
+
+
 def run(args: argparse.Namespace) -> int:
     """Returns 0: measured, proven and stored, or nothing to improve; 1: not proven. Raises what `measure_lost_motion` raises."""
     axis = load_axis(args.axis)
     how = lost_motion_config(axis)
-    shape = _SHAPES[args.shape] if args.shape else None
+    if args.shape and args.typed:
+        raise InputError("--shape and --typed exclude one another: typed values are of two tanh terms")
+    asked = args.typed or (_SHAPES[args.shape] if args.shape else None)
     if args.dry_run:
         _print_plan(axis, how, args)
         return 0
@@ -93,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
     with machine_of(args, axis, moves_axis=moves_axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
         try:
-            measured = run_lost_motion(machine, how, present, listener, seed=args.seed, shape=shape, resume=args.resume)
+            measured = run_lost_motion(machine, how, present, listener, seed=args.seed, asked=asked, resume=args.resume)
         except NoLostMotionError as error:
             return _nothing_to_correct(args, axis, str(error))
         if store is not None and measured.result.good:

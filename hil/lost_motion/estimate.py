@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.errors import InputError
 from hil.correction.rise import RUNNABLE, TWO_TANH, Rise, Shape
-from hil.lost_motion.fit import Contender, MeasuredReversal, compete, uncertainties
+from hil.lost_motion.fit import Contender, MeasuredReversal, as_stated, compete, uncertainties
 
-TWO_TANH_MARGIN = 1.1
-"""Two tanh terms are chosen unless another shape's held-out RMS is smaller by more than this ratio."""
 STILL_RISING_SHARE = 0.03
 """Share of the lost motion that may come back over the second half of the travel measured."""
 DETERMINED_FROM_STD = 2.0
@@ -30,7 +28,7 @@ class Uncertain:
     std: float
 
     def __str__(self) -> str:
-        return f"{self.value:.4g} ± {2.0 * self.std:.2g}"
+        return f"{self.value:.4g} ± {2.0 * self.std:.2g}" if self.std else f"{self.value:.4g}"
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class Estimate:
     uncertainties
     contenders: the best on held-out strokes first; reversals: as measured, over the motor's travel
     late_um: part of the lost motion that came back over the second half of the travel measured
-    asked_for: the shape was asked for, and not chosen
+    asked_for: the shape was asked for, and not chosen; typed: its parameters too
     """
 
     rise: Rise
@@ -51,12 +49,15 @@ class Estimate:
     reversals: tuple[MeasuredReversal, ...]
     late_um: float
     asked_for: bool = False
+    typed: bool = False
 
     @property
     def choice(self) -> str:
         """Which shape is taken, and by how much it is better or worse on held-out strokes than two tanh or the best of the others."""
         taken, *rest = sorted(self.contenders, key=lambda one: one.fitted.rise is not self.rise)
         two_tanh = next((one for one in rest if one.fitted.shape is TWO_TANH), None)
+        if self.typed and two_tanh is not None:
+            return f"two tanh typed: {taken.rms_um:.3f} µm RMS on the strokes, two tanh fitted {two_tanh.rms_um:.3f}"
         other = two_tanh or min(rest, key=lambda one: one.held_out_rms_um)
         if two_tanh is not None and self.asked_for:
             other = min(rest, key=lambda one: one.held_out_rms_um)
@@ -92,6 +93,7 @@ class Estimate:
             "published": _plain(self.published),
             "late_um": self.late_um,
             "asked_for": self.asked_for,
+            "typed": self.typed,
             "choice": self.choice if self.contenders else "",
             "contenders": [
                 {
@@ -104,26 +106,47 @@ class Estimate:
         }
 
 
-def estimate(reversals: Sequence[MeasuredReversal], shortest_mm: float, shape: Shape | None = None) -> Estimate:
+def estimate(
+    reversals: Sequence[MeasuredReversal], shortest_mm: float, asked: Shape | Rise | None = None, noise_um: float = 0.0
+) -> Estimate:
     """The rise of these reversals, from which the errors of position have been removed.
 
-    shortest_mm: shortest rise length; shape: the one asked for, None for the best (`TWO_TANH_MARGIN`). Raises InputError with
-    fewer than 3 reversals, of which one is held out.
+    shortest_mm: shortest rise length; asked: the shape asked for, or a rise with its parameters, over the load's travel; None for two
+    tanh terms, unless another shape's RMS on strokes held out is smaller by more than noise_um, the standard deviation of a reading.
+    Raises InputError with fewer than 3 reversals, of which one is held out.
     """
     if len(reversals) < 3:
         raise InputError(f"{len(reversals)} reversals, expected at least 3")
     by_load = [reversal.by_load() for reversal in reversals]
     contenders = compete(by_load, shortest_mm, RUNNABLE, table=False)
     two_tanh = next(one for one in contenders if one.fitted.shape is TWO_TANH)
-    chosen = two_tanh if two_tanh.held_out_rms_um <= TWO_TANH_MARGIN * contenders[0].held_out_rms_um else contenders[0]
-    if shape is not None:
-        chosen = next(one for one in contenders if one.fitted.shape is shape)
-    rise = chosen.fitted.rise
     published = uncertain(two_tanh.fitted.rise, by_load, shortest_mm)
-    parameters = published if chosen is two_tanh else uncertain(rise, by_load, shortest_mm)
+    if isinstance(asked, Rise):
+        contenders = (as_stated(asked, by_load), *contenders)
+        parameters = {name: Uncertain(value, 0.0) for name, value in _values(asked).items()}
+        late_um = _late_um(asked, by_load)
+        return Estimate(asked, parameters, published, contenders, tuple(reversals), late_um, asked_for=True, typed=True)
+    best = contenders[0]
+    if asked is not None:
+        best = next(one for one in contenders if one.fitted.shape is asked)
+    elif best.held_out_rms_um + noise_um >= two_tanh.held_out_rms_um:
+        best = two_tanh
+    rise = best.fitted.rise
+    parameters = published if best is two_tanh else uncertain(rise, by_load, shortest_mm)
+    late_um = _late_um(rise, by_load)
+    return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um, asked is not None)
+
+
+def with_two_tanh(found: Estimate) -> Estimate:
+    """The same measurement with the two tanh terms fitted to it in place of the shape taken."""
+    rise = next(one.fitted.rise for one in found.contenders if one.fitted.shape is TWO_TANH)
+    late_um = _late_um(rise, [reversal.by_load() for reversal in found.reversals])
+    return replace(found, rise=rise, parameters=found.published, late_um=late_um)
+
+
+def _late_um(rise: Rise, by_load: Sequence[MeasuredReversal]) -> float:
     end_mm = max(float(reversal.travel_mm.max()) for reversal in by_load)
-    late_um = rise.risen_um(end_mm) - rise.risen_um(end_mm / 2.0)
-    return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um, shape is not None)
+    return rise.risen_um(end_mm) - rise.risen_um(end_mm / 2.0)
 
 
 def _plain(parameters: Mapping[str, Uncertain]) -> dict[str, dict[str, float]]:
@@ -136,15 +159,21 @@ def uncertain(rise: Rise, reversals: Sequence[MeasuredReversal], shortest_mm: fl
 
     rise: as fitted to these reversals, over the load's travel; shortest_mm: shortest rise length of that fit
     """
-    shape, amounts, lengths = rise.shape, rise.amounts_um, rise.lengths_mm
     u_whole, u_amounts, u_lengths = uncertainties(rise, reversals, shortest_mm)
-    found = {"amount_um": Uncertain(rise.amount_um, u_whole)}
+    stds = [u_whole, *(u_amounts if len(u_amounts) > 1 else []), *u_lengths]
+    return {name: Uncertain(value, std) for (name, value), std in zip(_values(rise).items(), stds, strict=False)}
+
+
+def _values(rise: Rise) -> dict[str, float]:
+    """The parameters by their usual names; of a piecewise linear rise the whole amount only."""
+    shape, amounts, lengths = rise.shape, rise.amounts_um, rise.lengths_mm
+    found = {"amount_um": rise.amount_um}
     if shape.knots:
         return found
     if len(amounts) > 1:
-        found |= {f"amount_{k + 1}_um": Uncertain(amounts[k], u_amounts[k]) for k in range(len(amounts))}
-    found |= {f"rise_{k + 1}_mm": Uncertain(lengths[k], u_lengths[k]) for k in range(shape.rises)}
-    return found | ({"onset_2_mm": Uncertain(lengths[-1], u_lengths[-1])} if shape.onsets else {})
+        found |= {f"amount_{k + 1}_um": amount for k, amount in enumerate(amounts)}
+    found |= {f"rise_{k + 1}_mm": lengths[k] for k in range(shape.rises)}
+    return found | ({"onset_2_mm": lengths[-1]} if shape.onsets else {})
 
 
 def separately_determined(parameters: Mapping[str, Uncertain]) -> bool:

@@ -208,6 +208,13 @@ def compete(
     return tuple(sorted(found, key=lambda contender: contender.held_out_rms_um))
 
 
+def as_stated(rise: Rise, reversals: Sequence[MeasuredReversal]) -> Contender:
+    """A rise that was not fitted: every row is held out."""
+    fitted, rows = Fitted(rise), _Rows.of(reversals)
+    left_um = _rms(rows.residual_um(fitted))
+    return Contender(fitted, left_um, left_um)
+
+
 def length_bounds(span_mm: float, shortest_mm: float = 0.0) -> LengthBounds:
     """Bounds of the lengths over a travel, mm. A longer or later rise could not be separated from the table."""
     longest = span_mm / 4.0

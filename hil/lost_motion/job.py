@@ -19,7 +19,7 @@ from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
-from hil.correction.rise import Shape
+from hil.correction.rise import Rise, Shape
 from hil.correction.store import SealedStore, bound_tables, compensation_in_force
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, separately_determined
@@ -87,25 +87,26 @@ def run_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
-    shape: Shape | None = None,
+    asked: Shape | Rise | None = None,
     resume: bool = False,
     computing: Computing = at_once,
 ) -> MeasuredLostMotion:
-    """Prepares, measures, fits and proves; stores nothing. present: the compensation in force; shape: the one asked for, None
-    for the best; computing: how the fit is run.
+    """Prepares, measures, fits and proves; stores nothing. present: the compensation in force; asked: as `estimate` has it;
+    computing: how the fit is run.
 
     Raises what `measure_lost_motion` raises.
     """
     axis = machine.axis
     purpose = {**axis.purpose(CAMPAIGN), "how": _decides_rows(how), "seed": seed}
-    purpose |= {} if shape is None else {"shape": shape.name}  # the proof is of one shape
+    if asked is not None:  # the proof is of that one
+        purpose |= {"typed": asked.to_json()} if isinstance(asked, Rise) else {"shape": asked.name}
     purpose |= {} if present is None else compensation_in_force(present)
     campaign = Campaign.numbered(axis.store.directory, purpose, resume=resume)
     tell_unchecked(campaign, listener)
     machine.session.prepare(campaign.directory, present)
     try:
         result = measure_lost_motion(
-            machine.session, campaign, how, present, listener, seed=seed, shape=shape, computing=computing
+            machine.session, campaign, how, present, listener, seed=seed, asked=asked, computing=computing
         )
     except NoLostMotionError:
         campaign.finish()  # it was measured as a whole

@@ -4,8 +4,9 @@
 the same positions on the way back.
 2. The difference at a position between arriving soon after a reversal and after a long stroke is the lost motion: the
 error of the position is in both.
-3. A rise fitted over the load's travel, the best of several shapes on held-out strokes.
-4. Moves of any length over the same stretch, with the earlier correction and with the rise added: the proof.
+3. A rise fitted over the load's travel: two tanh terms, or another shape that is better by more than the noise on held-out strokes.
+4. Moves of any length over the same stretch, with the earlier correction and with the rise added: the proof. The moves without the
+rise were not fitted: another shape than two tanh terms stays only if it would have left less of them, too.
 """
 
 from __future__ import annotations
@@ -19,10 +20,12 @@ import numpy as np
 from drivers.errors import InputError, StateError
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
-from hil.correction.rise import Shape
+from hil.correction.rise import TWO_TANH, Rise, Shape
+from hil.correction.running_lost_motion import Turns, wound_um
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects.base import Term
-from hil.lost_motion.estimate import Estimate, Uncertain, estimate
+from hil.effects.history import remembered
+from hil.lost_motion.estimate import Estimate, Uncertain, estimate, with_two_tanh
 from hil.lost_motion.fit import MeasuredReversal
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, silent
@@ -82,21 +85,13 @@ class Proof:
 
     @property
     def improvement_um(self) -> Uncertain:
-        """By how much the RMS of the moves fell. Each move is made before and after: the uncertainty is that of the mean of the
-        differences of their squares, so what both have in common does not count.
-        """
-        both = rms(self.before_um) + rms(self.after_um)
-        differences = self.before_um**2 - self.after_um**2
-        if both == 0.0:
-            return Uncertain(0.0, 0.0)
-        std = float(np.std(differences, ddof=1)) / math.sqrt(len(differences))
-        return Uncertain(float(np.mean(differences)) / both, std / both)
+        """By how much the RMS of the moves fell."""
+        return gain_um(self.before_um, self.after_um)
 
     @property
     def improves(self) -> bool:
         """The moves show less lost motion than before, by more than the uncertainty of the difference (`COVERAGE`)."""
-        found = self.improvement_um
-        return found.value > COVERAGE * found.std
+        return is_gain(self.improvement_um)
 
     def _within(self, left_um: Floats) -> bool:
         over_um = float(np.max(left_um * self.after.direction))
@@ -137,6 +132,23 @@ class LostMotionResult:
 def rms(values: Floats) -> float:
     """Root mean square, in the unit of the values."""
     return float(np.sqrt(np.mean(values**2)))
+
+
+def gain_um(before_um: Floats, after_um: Floats) -> Uncertain:
+    """By how much the RMS of the same moves is less after than before. The uncertainty is that of the mean of the differences of their
+    squares, so what both have in common does not count.
+    """
+    both = rms(before_um) + rms(after_um)
+    differences = before_um**2 - after_um**2
+    if both == 0.0:
+        return Uncertain(0.0, 0.0)
+    std = float(np.std(differences, ddof=1)) / math.sqrt(len(differences))
+    return Uncertain(float(np.mean(differences)) / both, std / both)
+
+
+def is_gain(found: Uncertain) -> bool:
+    """Whether a gain is larger than its expanded uncertainty (`COVERAGE`)."""
+    return found.value > COVERAGE * found.std
 
 
 # -- what is measured ----------------------------------------------------------------------------------------------------
@@ -198,8 +210,10 @@ def reversals_of(records: Records, how: LostMotionConfig) -> list[MeasuredRevers
     return found
 
 
-def stretch_of(records: Records, how: LostMotionConfig, amount_um: float) -> Stretch:
-    """The errors of position, from the rows that came after a long stroke."""
+def stretch_of(records: Records, how: LostMotionConfig, amount_um: float = 0.0) -> Stretch:
+    """The errors of position, from the rows that came after a long stroke. The noise does not depend on the lost motion,
+    amount_um: each place is reached from one side.
+    """
     target, direction = np.round(records.target_mm, 6), records.direction
     long = np.where(direction > 0, target > how.at_mm, target < how.at_mm)
     middle_um = records.error_um + direction * amount_um / 2.0
@@ -277,6 +291,29 @@ def residual_um(records: Records, stretch: Stretch, in_force: Compensation | Non
     return np.asarray(records.error_um - own)
 
 
+def left_by_um(rise: Rise, uncorrected: Records, stretch: Stretch) -> Floats:
+    """Lost motion that a rise would have left in each move, µm, (n,). uncorrected: moves of the proof, the first after a full
+    stroke in −; their error is counted without the correction in force then.
+    """
+    here_mm, turns, wound = float(uncorrected.target_mm[0]), Turns(), [0.0]
+    direction = -1
+    for target_mm in uncorrected.target_mm[1:].tolist():
+        turns = remembered(turns, here_mm, direction, target_mm)
+        here_mm, direction = target_mm, 1 if target_mm > here_mm else -1
+        wound.append(wound_um(rise, here_mm, direction, turns))
+    lost_um = uncorrected.uncorrected_error_um - stretch.at_um(uncorrected.target_mm)
+    return np.asarray(lost_um + np.array(wound) - rise.amount_um / 2.0)
+
+
+def confirmed(found: Estimate, uncorrected: Records, stretch: Stretch) -> Estimate:
+    """The estimate itself; with two tanh terms in place of another shape that would not have left less of these moves."""
+    if found.asked_for or found.rise.shape is TWO_TANH:
+        return found
+    two_tanh = with_two_tanh(found)
+    left = [left_by_um(one.rise, uncorrected, stretch) for one in (two_tanh, found)]
+    return found if is_gain(gain_um(*left)) else two_tanh
+
+
 # -- the whole of it -----------------------------------------------------------------------------------------------------
 
 
@@ -288,40 +325,47 @@ def measure_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
-    shape: Shape | None = None,
+    asked: Shape | Rise | None = None,
     computing: Computing = at_once,
 ) -> LostMotionResult:
     """Measures, fits and proves on a prepared session. present: the compensation in force, None for none. Stores
     nothing.
 
     Afterwards no compensation is in force in the session, also after an error. An interrupted campaign continues with
-    its first missing row. shape: the one asked for, None for the best; computing: how the fit is run. Raises
-    NoLostMotionError where no lost motion shows above the noise, InputError where the tables do not agree with it,
-    CorrectionBoundError where the correction exceeds the axis's bound, and what stops the axis.
+    its first missing row. asked: as `estimate` has it; computing: how the fit is run. Raises NoLostMotionError where no
+    lost motion shows above the noise, InputError where the tables do not agree with it, CorrectionBoundError where the correction exceeds the axis's bound, and what stops the axis.
     """
     try:
         session.compensation = None
         records = measure(session, campaign, "strokes", stroke_steps(how), listener)
         listener(Event("fit"))
         reversals = reversals_of(records, how)
-        found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0, shape))
+        noise_um = stretch_of(records, how).noise_um
+        found = computing(session, lambda: estimate(reversals, how.shortest_rise_um / 1000.0, asked, noise_um))
         stretch = stretch_of(records, how, found.amount_um)
         if found.amount_um < NOISE_FACTOR * stretch.noise_um:
             raise _nothing_to_correct(present, found, stretch, how)
-        limits = session.drive.limits
-        extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))
-        extended.check(session.command_state.bound, "correction by the lost motion measured not used")
+        _usable(session, present, found, how)
         steps = proof_steps(how, seed)
-        proofs = []
-        for name, in_force in (("before", present), ("after", extended)):
-            session.compensation = in_force
-            rows = measure(session, campaign, name, steps, listener)
-            proofs.append((rows, residual_um(rows, stretch, in_force)))
-        (before, before_um), (after, after_um) = proofs
-        proof = Proof(before, after, before_um, after_um, found.amount_um, stretch.noise_um)
+        session.compensation = present
+        before = measure(session, campaign, "before", steps, listener)
+        found = confirmed(found, before, stretch)
+        stretch = stretch_of(records, how, found.amount_um)
+        session.compensation = extended = _usable(session, present, found, how)
+        after = measure(session, campaign, "after", steps, listener)
+        left = (residual_um(before, stretch, present), residual_um(after, stretch, extended))
+        proof = Proof(before, after, *left, found.amount_um, stretch.noise_um)
         return LostMotionResult(records, found, stretch, extended, proof)
     finally:
         session.compensation = None
+
+
+def _usable(session: AxisSession, present: Compensation | None, found: Estimate, how: LostMotionConfig) -> Compensation:
+    """The compensation with this rise, held against the tables and the axis's bound."""
+    limits = session.drive.limits
+    extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))
+    extended.check(session.command_state.bound, "correction by the lost motion measured not used")
+    return extended
 
 
 def _first(result: LostMotionResult) -> str:

@@ -23,7 +23,7 @@ from hil.lost_motion.at_load import (
     standard_uncertainties,
 )
 from hil.lost_motion.circle.figures import Circle, Trace, ring_of, trace_of
-from hil.lost_motion.estimate import Estimate, Uncertain, determined, estimate, separately_determined, uncertain
+from hil.lost_motion.estimate import Estimate, Uncertain, determined, separately_determined, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, compete, fit, length_bounds
 from hil.lost_motion.published import beside_published
 
@@ -254,30 +254,6 @@ def test_strokes_were_too_short_where_more_than_3_percent_came_late() -> None:
     assert plain["amount_um"] == 10.0
     assert plain["parameters"]["rise_1_mm"] == {"value": 0.5, "std": 0.2}
     assert plain["determined"] == ["amount_um", "rise_1_mm"]
-
-
-@pytest.mark.parametrize(("two_tanh_rms_um", "chosen"), [(1.09, TWO_TANH), (1.11, TANH)])
-def test_two_tanh_terms_unless_another_is_better_by_a_tenth(
-    two_tanh_rms_um: float, chosen: object, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    one, two = Rise(TANH, (10.0,), (0.05,)), Rise(TWO_TANH, (6.0, 4.0), (0.02, 0.04, 0.01))
-    contenders = (Contender(Fitted(one), 1.0, 1.0), Contender(Fitted(two), 1.0, two_tanh_rms_um))
-    monkeypatch.setattr(choosing, "compete", lambda *_, **__: contenders)
-    found = estimate([stroke(), stroke(-1), stroke()], 0.001)
-    asked = estimate([stroke(), stroke(-1), stroke()], 0.001, TANH)
-    assert (asked.rise.shape, asked.asked_for, found.asked_for) == (TANH, True, False)
-    assert found.rise.shape is chosen
-    end_mm = 0.190  # of the load
-    rise = found.rise
-    assert found.late_um == pytest.approx(rise.risen_um(end_mm) - rise.risen_um(end_mm / 2))
-    assert {"amount_1_um", "amount_2_um", "rise_1_mm", "rise_2_mm", "onset_2_mm"} <= set(found.published)
-    assert found.published["amount_2_um"].value == 4.0
-    assert found.published["rise_2_mm"].value == 0.04
-    assert found.published["onset_2_mm"].value == 0.01
-    assert found.parameters["amount_um"].value == pytest.approx(10.0)
-    assert set(found.parameters) == ({"amount_um", "rise_1_mm"} if chosen is TANH else set(found.published))
-    pieces = Rise(STRAIGHT_PIECES, (1.0,) * 16, tuple(0.01 * k for k in range(1, 17)))
-    assert set(uncertain(pieces, [stroke().by_load(), stroke(-1).by_load()], 0.001)) == {"amount_um"}
 
 
 def test_each_parameter_has_its_own_uncertainty(monkeypatch: pytest.MonkeyPatch) -> None:

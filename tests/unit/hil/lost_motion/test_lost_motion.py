@@ -16,14 +16,17 @@ from drivers.errors import InputError
 from hil.app.panel.texts import Texts
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
-from hil.correction.rise import TWO_TANH, Rise
+from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise
 from hil.correction.running_lost_motion import after_full_stroke, moved_to
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, term_from_json
 from hil.lost_motion.estimate import Estimate, Uncertain
+from hil.lost_motion.fit import Contender, Fitted
 from hil.lost_motion.procedure import (
     LostMotionResult,
     Proof,
+    confirmed,
+    left_by_um,
     proof_steps,
     residual_um,
     reversals_of,
@@ -47,13 +50,13 @@ def place_um(x: Floats | float) -> Floats:
     return np.asarray(3.0 * np.sin(np.asarray(x)) + 0.7 * (np.asarray(x) - 100.0))
 
 
-def driven(steps: list[Step], correction_um: Floats | None = None) -> Records:
+def driven(steps: list[Step], correction_um: Floats | None = None, truth: Rise = TRUTH) -> Records:
     """The machine: what belongs to the place, and a wind-up that follows the *targets* (it is asked about its bookkeeping only)."""
     state, rows = after_full_stroke(HOW.high_mm, 1), []
-    state, _ = moved_to(TRUTH, state, steps[0].target_mm - 9.0 * steps[0].direction)
+    state, _ = moved_to(truth, state, steps[0].target_mm - 9.0 * steps[0].direction)
     for number, step in enumerate(steps):
-        state, wound_um = moved_to(TRUTH, state, step.target_mm)
-        error_um = float(place_um(step.target_mm)) + TRUTH.amount_um / 2.0 - wound_um
+        state, wound_um = moved_to(truth, state, step.target_mm)
+        error_um = float(place_um(step.target_mm)) + truth.amount_um / 2.0 - wound_um
         error_um += 0.0 if correction_um is None else float(correction_um[number])
         rows.append((step.run, step.direction, step.target_mm, step.target_mm + error_um / 1000.0))
     columns = np.array(rows, dtype=np.float64).T
@@ -107,6 +110,20 @@ def test_what_is_left_is_told_apart_from_the_place_and_the_tables() -> None:
     with_tables = residual_um(driven(steps, by_tables), stretch, Compensation(tables))
     direction = np.array([step.direction for step in steps])
     assert with_tables == pytest.approx(left + 4.0 * direction, abs=1e-3)  # switched at once: half of 8 either way
+
+
+@pytest.mark.parametrize("truth", [TRUTH, Rise(EXPONENTIAL, (8.0,), (0.08,))], ids=lambda rise: rise.shape.name)
+def test_another_shape_stays_only_where_it_would_have_left_less_of_the_moves_before(truth: Rise) -> None:
+    """The moves are those without the correction; what stands in them for the tables in force is taken out again."""
+    other = Rise(EXPONENTIAL, (8.0,), (0.08,))
+    contenders = tuple(Contender(Fitted(rise), 0.1, 0.1) for rise in (other, TRUTH))
+    strokes = driven(stroke_steps(HOW), truth=truth)
+    found = Estimate(other, {}, {}, contenders, tuple(reversals_of(strokes, HOW)), 0.0)
+    stretch = stretch_of(strokes, HOW, 8.0)
+    moves = driven(proof_steps(HOW, 1), truth=truth)
+    assert left_by_um(truth, moves, stretch) == pytest.approx(0.0, abs=1e-4)
+    assert confirmed(found, moves, stretch).rise == truth
+    assert confirmed(replace(found, asked_for=True), moves, stretch).rise == other
 
 
 def test_without_tables_the_lost_motion_alone_is_put_into_force() -> None:
