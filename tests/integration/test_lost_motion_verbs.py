@@ -17,6 +17,8 @@ from support.two_axes import lay_out_axes
 
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
+from hil.correction.published_rise import TwoTanh
+from hil.correction.rise import rise_of
 from hil.correction.store import SealedStore
 from hil.records.rows import read_csv
 from sim_backends.bench import known_bench
@@ -208,6 +210,28 @@ def test_a_shape_that_is_asked_for_is_taken(tmp_path: Path, face: str, shape: st
     text = page.read_text()
     assert "The published form beside the running one" in text
     assert f"{rise.shape.name} asked for: " in text
+
+
+@pytest.mark.slow
+def test_typed_values_are_proven_and_stored_and_bad_ones_are_not(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (x, _), out = lay_out_axes(tmp_path, "modbus-vendor", machine="geometric"), tmp_path / "out.json"
+    lost_um = known_bench("geometric", 5).plant.backlash.amount_um
+    for share, good in ((0.5, False), (1.0, True)):
+        typed = f"{0.6 * share * lost_um},{0.4 * share * lost_um},0.0003,0.0003,0"
+        assert main(["lost-motion", str(x), "--typed", typed, "--json", str(out)]) == (0 if good else 1)
+        found = json.loads(out.read_text())
+        assert (found["typed"], found["stored"]) == (True, good)
+        assert found["choice"].startswith("two tanh typed: ")
+        assert found["amount_um"] == pytest.approx(share * lost_um)
+    assert stored(x).load().rise == rise_of(TwoTanh(0.6 * lost_um, 0.4 * lost_um, 0.0003, 0.0003, 0.0))
+    capsys.readouterr()
+    for typed in ("1,2,3", "1,2,0,3,0", "-1,2,1,3,0", "a,2,1,3,0"):
+        with pytest.raises(SystemExit) as ended:
+            main(["lost-motion", str(x), f"--typed={typed}"])
+        assert ended.value.code == 2
+        assert "expected Pc1,Pc2,a1,a2,b2 as five numbers" in capsys.readouterr().err
 
 
 @pytest.mark.slow
