@@ -18,6 +18,9 @@ METHODS = ("fitted", "four-sample")
 FEEDS = ("steps", "creep")
 """How the motor goes on after a reversal, both published: step by step with a rest after each, or very slowly without one."""
 
+REVERSALS = {"both": (-1, 1), "to-minus": (-1,), "to-plus": (1,)}
+"""Which reversals are measured, as directions after them, in this order: both, whose mean counts, or one alone (fig. 5)."""
+
 SLIDES, SLIDE_MM = 8, 0.1
 """Ways beyond the break-away, each ended by a reading: they show the torque that sliding leaves behind."""
 
@@ -28,10 +31,11 @@ _OBJECT = re.compile(r"([0-9A-Fa-f]{4})h(?::([0-9A-Fa-f]{2}))?")
 class BacklashConfig:
     """How it is measured, and the drive's parameters.
 
-    reference_plus_mm, reference_minus_mm: where the axis turns back from + to -, and from - to +. parameter, acceleration: an object
-    ("2201h", "2201h:01") or a register by name; None: the drive has none, and the amount is entered in the axis's sealed tables.
-    parameter_um: what one count of it stands for. feed: see `FEEDS`; creep_um_s: the speed of the second, whose readings are averaged
-    over each step_um.
+    reference_plus_mm, reference_minus_mm: where the axis turns back from + to -, and from - to +. parameter, acceleration: an
+    object ("2201h", "2201h:01") or a register by name; None: the drive has none, and the amount is entered in the axis's sealed
+    tables. parameter_um: what one count of it stands for. reversals: see `REVERSALS`. scale: lost motion by an instrument over
+    that by torque, found once on this axis; what is written is the measured amount times it. feed: see `FEEDS`; creep_um_s: the
+    speed of the second, whose readings are averaged over each step_um.
     """
 
     reference_plus_mm: Number
@@ -47,10 +51,17 @@ class BacklashConfig:
     creep_um_s: Annotated[float, Limits(ge=1.0, le=1000.0)] = 20.0
     runs: Annotated[int, Limits(ge=1, le=100)] = 1
     method: Annotated[str, one_of(*METHODS)] = METHODS[0]
+    reversals: Annotated[str, one_of(*REVERSALS)] = "both"
+    scale: Annotated[float, Limits(ge=0.5, le=2.0)] = 1.0
     home: bool = True
     parameter: Text | None = None
     parameter_um: Positive = 1.0
     acceleration: Text | None = None
+
+    @property
+    def directions(self) -> tuple[int, ...]:
+        """Directions of motion after the reversals that are measured, in their order."""
+        return REVERSALS[self.reversals]
 
     def turning_mm(self, direction: int) -> float:
         """Where a reversal into `direction` takes place."""

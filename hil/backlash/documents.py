@@ -9,7 +9,7 @@ from hil.app.jobs.identity import drive_in_words
 from hil.axis.axis_file import DriveAxis
 from hil.backlash.job import MeasuredBacklash
 from hil.backlash.neutral_settings import BacklashSettings
-from hil.backlash.procedure import DIRECTIONS, TorqueBacklash
+from hil.backlash.procedure import TorqueBacklash
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um, reversal_json
 from hil.backlash.settings import NoSetting
 
@@ -28,6 +28,11 @@ def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:
     else:
         held = _held(settings, settings.amount.name, result.written)
         lines[f"{settings.amount.name} holds now"] = f"{held}, written and read back"
+    if settings.scale != 1.0 and result.lost_motion_um is not None:
+        scaled_um = settings.scale * result.lost_motion_um
+        lines["amount to write"] = (
+            f"{scaled_um:.2f} µm: {result.lost_motion_um:.2f} × {settings.scale:g} ([backlash] scale)"
+        )
     if result.found.from_note:
         lines["note"] = "an earlier measurement had not put these back; this one has"
     return lines
@@ -69,19 +74,20 @@ def report_html(axis: DriveAxis, measured: MeasuredBacklash) -> str:
         "Axis": axis.name,
         "Drive": drive_in_words(axis),
         "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in DIRECTIONS),
+        "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in how.directions),
         "Feed": how.feed if how.feed == "steps" else f"creep at {how.creep_um_s:g} µm/s, averaged over steps",
         "Steps": f"{how.step_um:g} µm at {how.velocity_mm_s:g} mm/s, {how.readings} readings after {how.settle_s:g} s at rest",
     }
     title = f"Lost motion of axis {axis.name} by torque"
     parameters = facts(measured.settings, result)
-    return render_backlash(BacklashReport(title, result.reversals, how.method, verdict(result), identity, parameters))
+    said = (title, result.reversals, how.method, verdict(result), identity, parameters, result.directions)
+    return render_backlash(BacklashReport(*said))
 
 
 def form(axis: DriveAxis, measured: MeasuredBacklash) -> dict[str, Any]:
     """The machine-readable result; lengths in µm."""
     result, method = measured.result, measured.how.method
-    found = fitted_lost_motion(result.reversals)
+    found = fitted_lost_motion(result.reversals, result.directions)
     return {
         "axis": axis.name,
         "good": result.lost_motion_um is not None,
@@ -89,9 +95,10 @@ def form(axis: DriveAxis, measured: MeasuredBacklash) -> dict[str, Any]:
         "method": method,
         "feed": measured.how.feed,
         "lost_motion_um": result.lost_motion_um,
+        "scale": measured.how.scale,
         "fitted": None if found is None else {"mean_um": found.mean_um, "u95_um": found.u95_um},
-        "four_sample": {"mean_um": mean_um(result.reversals, "four-sample")},
-        "by_direction_um": {NAMES[each]: mean_um(result.reversals, method, each) for each in DIRECTIONS},
+        "four_sample": {"mean_um": mean_um(result.reversals, "four-sample", result.directions)},
+        "by_direction_um": {NAMES[each]: mean_um(result.reversals, method, [each]) for each in result.directions},
         "reversals": [reversal_json(one) for one in result.reversals],
         "parameters": {
             "before": result.found.values,

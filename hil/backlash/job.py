@@ -27,7 +27,7 @@ from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
 from hil.axis.zero import made_with_keeper
 from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, read_before, restore
-from hil.backlash.procedure import DIRECTIONS, TorqueBacklash, check_drive, measure_backlash
+from hil.backlash.procedure import TorqueBacklash, check_drive, measure_backlash
 from hil.backlash.result import NAMES
 from hil.backlash.settings import NOTE, backlash_settings
 from hil.backlash.trace import ReversalTrace
@@ -73,7 +73,7 @@ class MeasuredBacklash:
 def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Plan:
     """The moves and writes of a measurement."""
     moves = []
-    for direction in DIRECTIONS:
+    for direction in how.directions:
         ends = (how.start_mm(direction), how.turning_mm(direction), how.end_mm(direction))
         moves.append(Move(f"reverse {NAMES[direction]}", min(ends), max(ends), how.travel_velocity_mm_s))
     places = _parameters(axis, how)
@@ -104,7 +104,7 @@ def measure(
         if how.parameter is None:
             _require_store(axis, store)
     kept = _next_file(axis.store.directory)
-    remember, keep = partial(_remember, axis), _keeper(kept, axis.name)
+    remember, keep = partial(_remember, axis), _keeper(kept, axis.name, how.reversals)
     into_drive = write and how.parameter is not None
     result = measure_backlash(
         drive, how, settings, write=into_drive, remember=remember, keep=keep, listener=listener, tell=tell
@@ -155,9 +155,9 @@ def _next_file(directory: Path) -> Path:
     return directory / f"backlash-{max(taken, default=0) + 1:03d}.jsonl"
 
 
-def _keeper(path: Path, axis: str) -> Callable[[int, ReversalTrace], None]:
-    """Appends one line of JSON per reversal, complete or interrupted, with the axis and the time at which the measurement began."""
-    of = {"axis": axis, "begun": datetime.now().astimezone().isoformat(timespec="seconds")}
+def _keeper(path: Path, axis: str, reversals: str) -> Callable[[int, ReversalTrace], None]:
+    """Appends one line of JSON per reversal, complete or interrupted, with what the measurement is of and when it began."""
+    of = {"axis": axis, "reversals": reversals, "begun": datetime.now().astimezone().isoformat(timespec="seconds")}
 
     def keep(run: int, trace: ReversalTrace) -> None:
         with path.open("a", encoding="utf-8") as file:
@@ -206,6 +206,7 @@ class CompensationState:
     interrupted: bool = False  # a measurement ended without restoring the settings
     noted: float | None = None  # the value before that measurement
     resolution: float = 1.0
+    scale: float = 1.0
 
     @property
     def on(self) -> bool:
@@ -217,8 +218,9 @@ class CompensationState:
         return self.noted if self.interrupted else self.original
 
     def amount_of(self, lost_motion_um: float) -> float:
-        """The amount for a lost motion in µm, in the parameter's unit, rounded to its resolution."""
-        return round(round(lost_motion_um / self.amount_um / self.resolution) * self.resolution, 9)
+        """The amount for a lost motion measured by torque, µm, in the parameter's unit, rounded to its resolution."""
+        backlash_um = lost_motion_um * self.scale
+        return round(round(backlash_um / self.amount_um / self.resolution) * self.resolution, 9)
 
 
 def read_compensation(
@@ -239,6 +241,7 @@ def read_compensation(
     return CompensationState(
         *(name, settings.amount.read(), settings.amount_um, original, last, before.from_note, noted),
         settings.amount.resolution,
+        how.scale,
     )
 
 
@@ -252,19 +255,29 @@ def write_job(axis: DriveAxis, how: BacklashConfig, lost_motion_um: float) -> Jo
     """Job that writes a measured mean to the drive's parameter and reads it back; returns a CompensationState."""
 
     def work(place: Workplace) -> CompensationState:
-        settings = backlash_settings(axis, how, place.drive)
-        if how.parameter is None:
-            refuse_twice(axis, how, place.drive)
-            _into_tables(axis, place.store, place.drive, settings.amount_of(lost_motion_um))
-            return read_compensation(axis, how, place.drive, place.store)
-        before = {setting.name: setting.read() for setting in settings.settings()}
-        amount = settings.amount_of(lost_motion_um)
-        refuse_twice(axis, how, place.drive, amount)
-        _remember(axis, before, amount)
-        settings.amount.write(amount)
+        write_amount(axis, how, place.drive, lost_motion_um * how.scale, place.store)
         return read_compensation(axis, how, place.drive, place.store)
 
     return Job(WRITE, _parameter_plan(axis, how), work)
+
+
+def write_amount(
+    axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, backlash_um: float, store: SealedStore | None = None
+) -> float:
+    """Puts an amount of backlash, µm, into the drive's parameter and reads it back, or enters it in the opened store.
+
+    Returns it as it is kept, in the parameter's unit. Raises what `refuse_twice` and writing raise.
+    """
+    settings = backlash_settings(axis, how, drive)
+    amount = settings.amount_for(backlash_um)
+    if how.parameter is None:
+        refuse_twice(axis, how, drive)
+        _into_tables(axis, store, drive, amount)
+        return amount
+    refuse_twice(axis, how, drive, amount)
+    _remember(axis, {setting.name: setting.read() for setting in settings.settings()}, amount)
+    settings.amount.write(amount)
+    return amount
 
 
 def restore_job(axis: DriveAxis, how: BacklashConfig) -> Job:

@@ -46,22 +46,27 @@ class NotRestoredError(SafetyError):
 @dataclass(frozen=True)
 class BacklashSettings:
     """The amount, of which 1 is `amount_um` µm, the acceleration switch, and the file in which their values are
-    noted.
+    noted. scale: see `BacklashConfig`.
     """
 
     amount: Setting
     amount_um: float
     acceleration: Setting | None
     note: Path
+    scale: float = 1.0
 
     def settings(self) -> tuple[Setting, ...]:
         """Both, in the order in which they are changed."""
         return (self.amount,) if self.acceleration is None else (self.amount, self.acceleration)
 
     def amount_of(self, lost_motion_um: float) -> float:
-        """The amount for a lost motion in µm, in the drive's unit, rounded to its resolution."""
+        """The amount for a lost motion measured by torque, µm, in the drive's unit, rounded to its resolution."""
+        return self.amount_for(lost_motion_um * self.scale)
+
+    def amount_for(self, backlash_um: float) -> float:
+        """The amount that stands for so many µm."""
         step = self.amount.resolution
-        return round(round(lost_motion_um / self.amount_um / step) * step, 9)
+        return round(round(backlash_um / self.amount_um / step) * step, 9)
 
 
 @dataclass(frozen=True)

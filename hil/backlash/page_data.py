@@ -12,6 +12,7 @@ from drivers.files import read_bytes
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.axis.axis_file import DriveAxis
+from hil.axis.backlash import REVERSALS
 from hil.backlash import job as backlash
 from hil.backlash.documents import verdict
 from hil.backlash.job import CompensationState, MeasuredBacklash
@@ -50,7 +51,7 @@ def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
     files = sorted(axis.store.directory.glob("backlash-[0-9]*.jsonl"), key=lambda path: path.stat().st_mtime)
     if not files:
         return None
-    method, reversals = backlash.backlash_config(axis).method, []
+    method, reversals, asked = backlash.backlash_config(axis).method, [], "both"
     try:
         text = read_bytes(files[-1]).decode("utf-8", errors="replace")
     except InputError:
@@ -58,11 +59,13 @@ def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
     for line in split_lines(text):
         with suppress(ValueError, InputError, TypeError, KeyError):  # torn, or of a reversal that was broken off
             form = parse_json(line)
+            asked = asked if form.get("reversals") not in REVERSALS else form["reversals"]
             reversals.append(Reversal.of(int(form["run"]), read_trace(form)))
     if not reversals:
         return None
     at = datetime.fromtimestamp(files[-1].stat().st_mtime).astimezone()
-    return KeptBacklash(at, {way: mean_um(reversals, method, way) for way in NAMES}, mean_um(reversals, method))
+    by_direction = {way: mean_um(reversals, method, [way]) for way in NAMES}
+    return KeptBacklash(at, by_direction, mean_um(reversals, method, REVERSALS[asked]))
 
 
 def backlash_screen(desk: Desk) -> BacklashScreen:

@@ -3,7 +3,7 @@
 1. Note the drive's backlash parameter and its acceleration switch; set both to 0.
 2. Each run: to the reference in +, reverse, step by step until the table has broken away, then a few longer moves; or, as
 published too, one very slow move; the same from −.
-3. Both estimates of every reversal, the mean of both directions.
+3. Both estimates of every reversal, the mean of both directions (or one alone, `BacklashConfig.reversals`).
 4. Restore the parameters, also after any error; write the new amount only on request.
 """
 
@@ -27,8 +27,6 @@ from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 
-DIRECTIONS = (-1, 1)
-"""Direction of motion after the reversal: first + → −, then − → +."""
 READING_S = 0.002
 """Interval between two torque readings at one position, s."""
 STEP_SLICE_S = 0.005
@@ -50,13 +48,14 @@ class TorqueBacklash:
 
     reversals: tuple[Reversal, ...]
     method: str
+    directions: tuple[int, ...]
     found: SettingsBefore
     written: float | None = None
 
     @property
     def lost_motion_um(self) -> float | None:
-        """Mean of both directions by the chosen method; None where the detection limit was exceeded."""
-        return mean_um(self.reversals, self.method)
+        """Mean over the directions measured, by the chosen method; None where the detection limit was exceeded."""
+        return mean_um(self.reversals, self.method, self.directions)
 
     @property
     def exceeded(self) -> Reversal | None:
@@ -77,7 +76,9 @@ def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
         drive.require(Capability.HOMING)
     if sample.torque_percent is None:
         raise CapabilityError(f"drive {drive.name} does not tell its torque, and backlash is measured by torque")
-    check_reach(drive, *(place(each) for each in DIRECTIONS for place in (how.start_mm, how.turning_mm, how.end_mm)))
+    check_reach(
+        drive, *(place(each) for each in how.directions for place in (how.start_mm, how.turning_mm, how.end_mm))
+    )
 
 
 def check_reach(drive: ServoDrive, *positions_load_mm: float) -> None:
@@ -115,12 +116,12 @@ def measure_backlash(
         supervisor.get_ready(home=how.home)
         measurement = _Measurement(supervisor, how, keep, listener)
         for run in range(1, how.runs + 1):
-            for direction in DIRECTIONS:
+            for direction in how.directions:
                 reversals.append(Reversal.of(run, measurement.reversal(run, direction)))
                 listener(measurement.result(reversals[-1]))
                 if reversals[-1].lost_motion_um(how.method) is None:
-                    return TorqueBacklash(tuple(reversals), how.method, found)
-    result = TorqueBacklash(tuple(reversals), how.method, found)
+                    return TorqueBacklash(tuple(reversals), how.method, how.directions, found)
+    result = TorqueBacklash(tuple(reversals), how.method, how.directions, found)
     if not write or result.lost_motion_um is None:
         return result
     amount = settings.amount_of(result.lost_motion_um)

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
 from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
-from hil.backlash.result import NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
+from hil.backlash.result import BOTH, NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,7 @@ class BacklashReport:
     verdict: str = ""
     identity: Mapping[str, str] = field(default_factory=dict)
     parameters: Mapping[str, str] = field(default_factory=dict)
+    directions: Sequence[int] = BOTH
 
 
 def render_backlash(report: BacklashReport) -> str:
@@ -104,16 +105,18 @@ def _found(one: Reversal) -> str:
 
 
 def _tiles(report: BacklashReport) -> str:
-    found: LostMotion | None = fitted_lost_motion(report.reversals)
-    rule = mean_um(report.reversals, "four-sample")
+    found: LostMotion | None = fitted_lost_motion(report.reversals, report.directions)
+    rule = mean_um(report.reversals, "four-sample", report.directions)
     counts = {"fitted": "", "four-sample": ""} | {report.method: "this one counts"}
     tiles = [
         tile("Lost motion, fitted", markup.number(None if found is None else found.mean_um, 1), "µm", counts["fitted"]),
         tile("± with 95 % confidence", markup.number(None if found is None else found.u95_um, 1), "µm"),
         tile("By the four-sample rule", markup.number(rule, 1), "µm", counts["four-sample"]),
     ]
-    for direction, name in NAMES.items():
-        tiles.append(tile(name, markup.number(mean_um(report.reversals, report.method, direction), 1), "µm"))
+    for direction in report.directions:
+        tiles.append(
+            tile(NAMES[direction], markup.number(mean_um(report.reversals, report.method, [direction]), 1), "µm")
+        )
     return '<div class="tiles">' + "".join(tiles) + "</div>"
 
 

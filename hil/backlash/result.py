@@ -20,6 +20,7 @@ _NORMAL = float(ndtri(0.975))
 
 NAMES = {-1: "+ → −", 1: "− → +"}
 """Names of the two reversals, by the direction after them."""
+BOTH = tuple(NAMES)
 
 
 @dataclass(frozen=True)
@@ -51,28 +52,34 @@ class LostMotion:
     u95_um: float
 
 
-def mean_um(reversals: Sequence[Reversal], method: str, direction: int | None = None) -> float | None:
-    """Mean of one direction, or of both directions' means, µm. None where a reversal has no value, or there is none."""
-    if direction is None:
-        both = [mean_um(reversals, method, each) for each in NAMES]
-        known = [value for value in both if value is not None]
-        return sum(known) / 2.0 if len(known) == 2 else None
-    values = [one.lost_motion_um(method) for one in reversals if one.trace.direction == direction]
-    found = [value for value in values if value is not None]
-    return sum(found) / len(found) if values and len(found) == len(values) else None
+def mean_um(reversals: Sequence[Reversal], method: str, directions: Sequence[int] = BOTH) -> float | None:
+    """Mean of these directions' means, µm. None where a direction was not measured, or a reversal of it has no value."""
+    means = [_mean([one.lost_motion_um(method) for one in _into(reversals, direction)]) for direction in directions]
+    return _mean(means)
 
 
-def fitted_lost_motion(reversals: Sequence[Reversal]) -> LostMotion | None:
-    """Mean of both directions by the fitted curve, with its uncertainty at 95 %; None where a fit is missing.
+def _into(reversals: Sequence[Reversal], direction: int) -> list[Reversal]:
+    return [one for one in reversals if one.trace.direction == direction]
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known and len(known) == len(values) else None
+
+
+def fitted_lost_motion(reversals: Sequence[Reversal], directions: Sequence[int] = BOTH) -> LostMotion | None:
+    """Mean of these directions by the fitted curve, with its uncertainty at 95 %; None where a fit is missing.
 
     The random part is that of the fits, or the scatter of the runs of one direction where that is larger;
     `hidden_um` does not average out.
     """
-    mean = mean_um(reversals, "fitted")
+    mean = mean_um(reversals, "fitted", directions)
     if mean is None:
         return None
-    variance = sum(_chance_variance(reversals, direction) for direction in NAMES) / 4.0
-    u_um = math.hypot(math.sqrt(variance), max(hidden_um(one.trace, mean) for one in reversals))
+    variance = sum(_chance_variance(reversals, direction) for direction in directions) / len(directions) ** 2
+    u_um = math.hypot(
+        math.sqrt(variance), max(hidden_um(one.trace, mean) for each in directions for one in _into(reversals, each))
+    )
     return LostMotion(mean, _NORMAL * u_um)
 
 

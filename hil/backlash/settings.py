@@ -96,10 +96,10 @@ def backlash_settings(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -
     if how.parameter is None:
         if how.acceleration is not None:
             raise InputError("[backlash] names acceleration without parameter, expected both or none", path=axis.path)
-        return BacklashSettings(NoSetting(), 1.0, None, directory / NOTE)
+        return BacklashSettings(NoSetting(), 1.0, None, directory / NOTE, how.scale)
     amount = _of_drive(drive, how.parameter)
     acceleration = None if how.acceleration is None else _of_drive(drive, how.acceleration)
-    return BacklashSettings(amount, how.parameter_um, acceleration, directory / NOTE)
+    return BacklashSettings(amount, how.parameter_um, acceleration, directory / NOTE, how.scale)
 
 
 def _of_drive(drive: ServoDrive, name: str) -> Setting:

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
+from hil.axis.backlash import REVERSALS
 from hil.backlash.fitted import fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion
 from hil.backlash.trace import read_trace
@@ -279,6 +280,7 @@ def of_torque_file(path: Path) -> TorqueFile:
     read."""
     reversals: list[Reversal] = []
     axis = begun = ""
+    asked = "both"
     text = read_text(path)
     lines = split_lines(text)
     whole = lines if text.endswith("\n") else lines[:-1]  # a line torn by a power cut was never confirmed
@@ -295,9 +297,10 @@ def of_torque_file(path: Path) -> TorqueFile:
             raise InputError(error.what, path=path, line=number) from error
         run = form.get("run")
         reversals.append(Reversal(run if isinstance(run, int) else 0, trace, None, fit_wind_up(trace)))
+        asked = str(form.get("reversals", asked))
         axis, begun = axis or str(form.get("axis", "")), begun or str(form.get("begun", ""))
     values = []
-    lost = fitted_lost_motion(reversals)
+    lost = fitted_lost_motion(reversals, REVERSALS.get(asked, REVERSALS["both"]))
     if lost is not None:
         values.append(Value("torque_lost_motion_um", lost.mean_um, lost.u95_um / 1.96, len(reversals), path.name))
     levels = np.array([one.fitted.level_percent for one in reversals if one.fitted is not None])

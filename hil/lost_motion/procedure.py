@@ -331,9 +331,10 @@ def measure_lost_motion(
     """Measures, fits and proves on a prepared session. present: the compensation in force, None for none. Stores
     nothing.
 
-    Afterwards no compensation is in force in the session, also after an error. An interrupted campaign continues with
-    its first missing row. asked: as `estimate` has it; computing: how the fit is run. Raises NoLostMotionError where no
-    lost motion shows above the noise, InputError where the tables do not agree with it, CorrectionBoundError where the correction exceeds the axis's bound, and what stops the axis.
+    Afterwards no compensation is in force in the session, also after an error. An interrupted campaign continues
+    with its first missing row. asked: as `estimate` has it; computing: how the fit is run. Raises
+    NoLostMotionError where no lost motion shows above the noise, InputError where the tables do not agree with it,
+    CorrectionBoundError where the correction exceeds the axis's bound, and what stops the axis.
     """
     try:
         session.compensation = None

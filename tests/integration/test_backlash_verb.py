@@ -77,6 +77,44 @@ def test_the_report_shows_both_directions_with_both_estimates(tmp_path: Path) ->
     assert len(columns["torque_1_percent"]) == len(columns["torque_2_percent"]) == len(columns["travel_um"])
 
 
+@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
+def test_one_direction_scaled_by_one_value_of_a_laser_is_written(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str
+) -> None:
+    axis, out = lay_out(tmp_path, face), tmp_path / "out.json"
+    first = ["backlash", str(axis), "--reversals", "to-minus", "--laser", "53.0", "--json", str(out)]
+    assert main(first) == 0
+    plain = json.loads(out.read_text())
+    assert (list(plain["by_direction_um"]), plain["scale"]) == (["+ → −"], 1.0)
+    assert [one["direction"] for one in plain["reversals"]] == [-1]
+    told = re.search(r"\[backlash\] scale = ([\d.]+) makes them agree", " ".join(capsys.readouterr().out.split()))
+    assert told is not None
+    assert float(told[1]) == pytest.approx(53.0 / plain["lost_motion_um"], abs=1e-4)
+    axis.write_text(axis.read_text() + "scale = 1.25\n")
+    assert main(["backlash", str(axis), "--reversals", "to-minus", "--write", "--json", str(out)]) == 0
+    scaled = json.loads(out.read_text())
+    written_um = scaled["parameters"]["written"] * scaled["parameters"]["amount_um"]
+    assert written_um == pytest.approx(1.25 * scaled["lost_motion_um"], abs=0.6 * scaled["parameters"]["amount_um"])
+    assert "amount to write" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
+def test_a_typed_amount_is_written_without_a_measurement_and_put_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str
+) -> None:
+    axis = lay_out(tmp_path, face)
+    assert main(["backlash", str(axis), "--write-um", "52", "--dry-run"]) == 0
+    assert "would write 52 µm" in capsys.readouterr().out
+    assert main(["backlash", str(axis), "--write-um", "52"]) == 0
+    assert "for 52 µm as typed; not yet proven" in " ".join(capsys.readouterr().out.split())
+    assert not list(tmp_path.glob("X-campaign/backlash-*.jsonl"))
+    assert main(["backlash", str(axis), "--restore"]) == 0
+    assert "put back: " in capsys.readouterr().out
+    for wrong in ("-1", "x", "1e9"):
+        with pytest.raises(SystemExit):
+            main(["backlash", str(axis), f"--write-um={wrong}"])
+
+
 def test_a_dry_run_touches_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     axis = lay_out(tmp_path, "canopen")
     before = sorted(tmp_path.rglob("*"))

@@ -81,14 +81,19 @@ def test_a_reversal_keeps_what_it_was_given() -> None:
     assert np.array_equal(trace.position_load_mm, before[1])
 
 
-def test_the_mean_is_that_of_both_directions_and_needs_both() -> None:
+def test_the_mean_is_that_of_the_directions_measured_and_needs_each_of_their_values() -> None:
     up = [Reversal.of(1, made(50.0)), Reversal.of(2, made(52.0, seed=2))]
     down = [Reversal.of(1, made(40.0, direction=-1))]
     for method in ("fitted", "four-sample"):
-        one_way = [mean_um(up + down, method, direction) for direction in (1, -1)]
+        one_way = [mean_um(up + down, method, [direction]) for direction in (1, -1)]
         assert mean_um(up + down, method) == pytest.approx(np.mean([value for value in one_way if value is not None]))
     assert mean_um(up + down, "fitted") == pytest.approx(45.5, abs=0.3)
     assert mean_um(up, "fitted") is None
+    assert mean_um(up, "fitted", [1]) == mean_um(up + down, "fitted", [1]) is not None
+    alone, both = fitted_lost_motion(up, [1]), fitted_lost_motion(up + down)
+    assert alone is not None
+    assert both is not None
+    assert alone.u95_um > both.u95_um
     assert mean_um([*up, *down, Reversal.of(3, made(53.0, end_um=30.0))], "fitted") is None
 
 

@@ -251,7 +251,7 @@ def test_the_mean_and_its_uncertainty_by_hand() -> None:
     """
     both = [reversal(1, 1, 50.0, 0.2), reversal(1, -1, 40.0, 0.4)]
     assert (mean_um(both, "fitted"), mean_um(both, "four-sample")) == (45.0, 46.0)
-    assert mean_um(both, "fitted", -1) == 40.0
+    assert mean_um(both, "fitted", [-1]) == 40.0
     one = fitted_lost_motion(both)
     assert one is not None
     assert (one.mean_um, one.u95_um) == (45.0, pytest.approx(0.904349, rel=1e-5))
