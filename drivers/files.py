@@ -1,10 +1,12 @@
-"""Files from outside are read up to a bound, so that a sparse one or a device takes no memory; files of ours are replaced in one step,
-so that a reader or a power cut finds the old bytes or the new ones.
+"""Files from outside are read up to a bound, so that a sparse one or a device takes no memory, and as text in each encoding that
+editors write; files of ours are replaced in one step, so that a reader or a power cut finds the old bytes or the new ones.
 """
 
 from __future__ import annotations
 
+import codecs
 import os
+import re
 import stat
 import tempfile
 from pathlib import Path
@@ -29,6 +31,83 @@ def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:
     if max(len(data), about.st_size) > most:
         raise InputError(f"is too long, expected at most {most >> 10} KiB", path=path)
     return data
+
+
+_MARKS = {
+    codecs.BOM_UTF8: "utf-8-sig",
+    codecs.BOM_UTF32_LE: "utf-32",  # before UTF-16, whose mark it begins with
+    codecs.BOM_UTF32_BE: "utf-32",
+    codecs.BOM_UTF16_LE: "utf-16",
+    codecs.BOM_UTF16_BE: "utf-16",
+}
+"""Byte-order mark -> codec that reads it and what follows."""
+_OTHER_FORMS = {
+    b"PK\x03\x04": "a ZIP archive, as XLSX, ODS and DOCX files are",
+    b"\xd0\xcf\x11\xe0": "an office file of the older form (XLS, DOC)",
+    b"%PDF-": "a PDF file",
+    b"{\\rtf": "an RTF document",
+    b"\x1f\x8b": "a gzip archive",
+    b"7z\xbc\xaf\x27\x1c": "a 7z archive",
+    b"Rar!": "a RAR archive",
+    b"SQLite format 3\0": "an SQLite database",
+    b"\x89PNG": "a PNG picture",
+    b"\xff\xd8\xff": "a JPEG picture",
+}
+"""First bytes of files that are not read, and what they are."""
+_XML = re.compile(r"\s*+<(\?xml\b|!doctype (?!html)|[\w:.-]+\s[^<>]{0,999}\bxmlns)", re.IGNORECASE)
+_HTML = re.compile(r"\s*+<(!doctype html|html)\b", re.IGNORECASE)
+
+
+def encoding_of(begin: bytes) -> str:
+    """The codec of text that begins with these bytes, by its byte-order mark; UTF-8 without one. It takes the mark off."""
+    return next((codec for mark, codec in _MARKS.items() if begin.startswith(mark)), "utf-8")
+
+
+def read_text(path: str | Path, most: int = MOST_BYTES, *, older: bool = False, expected: str = "plain text") -> str:
+    """The text of a file of at most `most` bytes; otherwise as `decode_text`."""
+    return decode_text(read_bytes(path, most), path, older=older, expected=expected)
+
+
+def decode_text(
+    data: bytes, path: str | Path | None = None, *, older: bool = False, expected: str = "plain text"
+) -> str:
+    """The text of UTF-8, and of UTF-16 and UTF-32 with their mark, without the mark.
+
+    older: whether bytes that are not UTF-8 are read as Windows-1252 or Latin-1, as older programs write them. Raises InputError, with
+    the line where there is one, for other bytes, and for a file of a form that is known and not read: it is named, as is what was
+    `expected`.
+    """
+    for begin, form in _OTHER_FORMS.items():
+        if data.startswith(begin):
+            raise InputError(f"is {form}, expected {expected}", path=path)
+    codec = encoding_of(data)
+    if codec == "utf-8" and b"\0" in data[:2]:
+        raise InputError(f"holds zero bytes, as UTF-16 without its byte-order mark does, expected {expected}", path=path)
+    try:
+        text = data.decode(codec)
+    except UnicodeDecodeError as error:
+        if older and codec == "utf-8" and b"\0" not in data:
+            return _older(data)
+        at = len(data) - len(error.object) + error.start
+        line = data[:at].decode(codec, "replace").count("\n") + 1
+        name = codec.removesuffix("-sig").upper()
+        raise InputError(f"byte {data[at]:02X}h is not {name} text", path=path, line=line) from error
+    for form, pattern in (("XML, as XDD, XDC and ESI files are", _XML), ("an HTML page", _HTML)):
+        if pattern.match(text):
+            raise InputError(f"is {form}, expected {expected}", path=path)
+    return text
+
+
+def decode_log(data: bytes) -> str:
+    """The text of a log in UTF-8 whose last line may be torn: what is none is replaced."""
+    return data.decode("utf-8-sig", "replace")
+
+
+def _older(data: bytes) -> str:
+    try:
+        return data.decode("cp1252")
+    except UnicodeDecodeError:  # five bytes that Windows-1252 leaves free
+        return data.decode("latin-1")
 
 
 def replace_file(path: str | Path, data: bytes, *, mode: int | None = None) -> None:

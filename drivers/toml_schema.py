@@ -24,7 +24,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_
 import msgspec
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import read_text
 from drivers.toml_lines import Place, lines_of
 from drivers.toml_types import Key, Limits, SchemaError, Via
 
@@ -63,7 +63,7 @@ class Document:
 
     def __init__(self, path: str | Path, text: str, context: Any = None) -> None:
         self.path = Path(path)
-        self.text = text.removeprefix("\ufeff")
+        self.text = text
         self.context = context
         self._taken: set[str] = set()
         if len(self.text) > MOST_BYTES:
@@ -84,13 +84,8 @@ class Document:
 
     @classmethod
     def read(cls, path: str | Path) -> Document:
-        """Read a file. Raises InputError naming file and line for one that cannot be read, is not UTF-8 or is not TOML."""
-        data = read_bytes(path, MOST_BYTES)
-        try:
-            return cls(path, data.decode("utf-8"))
-        except UnicodeDecodeError as error:
-            line = data.count(b"\n", 0, error.start) + 1
-            raise InputError(f"byte {data[error.start]:02X}h is not UTF-8 text", path=path, line=line) from error
+        """Read a file. Raises InputError naming file and line for one that cannot be read, is no text or is not TOML."""
+        return cls(path, read_text(path, MOST_BYTES, expected="TOML"))
 
     def __contains__(self, name: str) -> bool:
         self._taken.add(name)

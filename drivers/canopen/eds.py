@@ -27,7 +27,7 @@ from drivers.canopen.eds_text import (
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo_lint import MappableObject
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import read_text
 
 Key = tuple[int, int]
 MOST_BYTES = 1 << 24
@@ -147,14 +147,8 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
 
 
 def decode_eds(path: Path) -> str:
-    """The text of a file in UTF-8, else Windows-1252, else Latin-1. Raises InputError for a file that cannot be read."""
-    raw = read_bytes(path, MOST_BYTES)
-    for encoding in ("utf-8-sig", "cp1252"):
-        try:
-            return raw.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-    return raw.decode("latin-1")
+    """The text of a file, also of an older encoding. Raises InputError for one that cannot be read, and for other forms (XDD)."""
+    return read_text(path, MOST_BYTES, older=True, expected="EDS or DCF (CiA 306)")
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import InputError
+from drivers.files import encoding_of
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 
 MOST_BYTES = 1 << 28
@@ -78,7 +79,7 @@ class Recording:
 def _lines(file: io.BufferedReader) -> Iterator[str]:
     """The lines, unpacked one after the other. Raises InputError for a text or a line that is too long."""
     total = count = 0
-    with io.TextIOWrapper(file, encoding="utf-8-sig", newline=None) as text:
+    with io.TextIOWrapper(file, encoding=encoding_of(file.peek(4)[:4]), newline=None) as text:
         while line := text.readline(_LONGEST_LINE):
             total += len(line)
             count += 1

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.facts import Strength
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_bytes, read_text, replace_file
 from drivers.toml_types import Text
 
 
@@ -85,7 +85,7 @@ class FactLedger:
         if not self._path.exists():
             return {}
         try:
-            found = json.loads(read_bytes(self._path).decode())
+            found = json.loads(read_text(self._path))
             return {str(key): [Proof(name).value for name in names] for key, names in found.items()}
         except (ValueError, AttributeError, TypeError, RecursionError) as error:
             raise InputError("does not say which facts were proven", path=self._path) from error

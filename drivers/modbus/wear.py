@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from drivers.errors import InputError, StateError
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_text, replace_file
 
 
 class WearLedger:
@@ -63,7 +63,7 @@ def _alone_in(directory: Path) -> Iterator[None]:
 
 def _read(path: Path) -> dict[str, int]:
     try:
-        counts = json.loads(read_bytes(path).decode())
+        counts = json.loads(read_text(path))
     except (ValueError, RecursionError) as error:
         raise InputError(f"cannot be read as a wear ledger: {error}", path=path) from error
     if not isinstance(counts, dict) or not all(type(count) is int and count >= 0 for count in counts.values()):

@@ -20,7 +20,7 @@ import numpy as np
 
 from drivers.drive import ServoDrive
 from drivers.errors import InputError, StateError
-from drivers.files import replace_file
+from drivers.files import read_text, replace_file
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import AxisConfig, DriveAxis
@@ -36,7 +36,7 @@ from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import SingleTable
 from hil.machine.events import Listener, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
-from hil.records.files import parse_json, read_text
+from hil.records.files import parse_json
 from hil.records.made_with import same
 
 MEASURE, LOOK = "backlash", "backlash look"

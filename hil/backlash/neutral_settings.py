@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Protocol
 
 from drivers.errors import BridgeError, InputError, SafetyError
-from drivers.files import replace_file
-from hil.records.files import parse_json, read_text
+from drivers.files import read_text, replace_file
+from hil.records.files import parse_json
 
 Tell = Callable[[str], None]
 

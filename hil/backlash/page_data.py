@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import datetime
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import decode_log, read_bytes
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.axis.axis_file import DriveAxis
@@ -53,7 +53,7 @@ def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
         return None
     method, reversals, asked = backlash.backlash_config(axis).method, [], "both"
     try:
-        text = read_bytes(files[-1]).decode("utf-8", errors="replace")
+        text = decode_log(read_bytes(files[-1]))
     except InputError:
         return None
     for line in split_lines(text):

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import read_text
 from hil.correction.tables import (
     Band,
     DirectionalTable,
@@ -23,7 +24,7 @@ from hil.correction.tables import (
     TableSet,
     straightness_table,
 )
-from hil.records.files import read_text, split_lines
+from hil.records.files import split_lines
 from hil.records.rows import Floats, parse_number, shown
 
 _KNOWN = (
@@ -144,7 +145,7 @@ def _read_columns(
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
     """Number and cells of each line that is neither empty nor a remark."""
-    lines = enumerate(split_lines(text.removeprefix("\ufeff")), start=1)
+    lines = enumerate(split_lines(text), start=1)
     return [(number, line.split(",")) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
-from hil.records.files import parse_json, read_text
+from drivers.files import read_bytes, read_text
+from hil.records.files import parse_json
 
 STORED = ".diagnosis.json"
 """Suffix after the name of the diagnosed pass or passes."""

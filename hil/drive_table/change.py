@@ -18,9 +18,9 @@ from drivers.clock import NS_PER_S
 from drivers.correction_table import CorrectionTable, RawTable
 from drivers.drive import WITHOUT_POWER, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
-from drivers.files import replace_file
+from drivers.files import read_text, replace_file
 from hil.machine.one_correction import switch_table
-from hil.records.files import parse_json, read_text
+from hil.records.files import parse_json
 from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 

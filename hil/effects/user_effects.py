@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import BridgeError, InputError
+from drivers.files import encoding_of, read_bytes
 from hil.effects import ALL, NEVER_SEARCHED, Action, Effect, Rival, survey_of
 from hil.effects.history import complete
 
@@ -54,6 +55,8 @@ def effects_of_file(path: str | Path) -> tuple[Effect, ...]:
     place = Path(path)
     if not place.is_file():
         raise InputError("is no file; expected Python code with EFFECTS = (…)", path=path)
+    if (codec := encoding_of(read_bytes(path))) not in ("utf-8", "utf-8-sig"):
+        raise InputError(f"is {codec.upper()} text, expected Python code in UTF-8: save it as UTF-8", path=path)
     name = f"hil_user_effects_{abs(hash(place.resolve())):x}"
     spec = spec_from_file_location(name, place.resolve())
     if spec is None or spec.loader is None:

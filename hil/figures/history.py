@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import decode_log, read_bytes
 from hil.figures.iso230 import Iso230, iso230
 from hil.records.files import split_lines
 from hil.records.journal import BEGUN, CHAINED, MARKER, checksums, grew_from, read_purpose
@@ -123,7 +123,7 @@ def read_pass(path: Path, closed_as: str | None) -> Pass:
     data = read_bytes(path)
     sha256 = hashlib.sha256(data).hexdigest()
     whole = data[: data.rfind(b"\n") + 1]
-    text = whole.decode("utf-8", "replace")
+    text = decode_log(whole)
     notes = tuple(line.removeprefix("#").strip() for line in split_lines(text) if line.startswith("#"))
     if whole != data:
         state = "torn"

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import BridgeError, InputError
-from drivers.files import replace_file
+from drivers.files import read_text, replace_file
 from drivers.undo import one_line
 from hil.fleet.executor import completed
-from hil.records.files import parse_json, read_text
+from hil.records.files import parse_json
 from hil.records.rows import read_csv
 
 FOLDER = "diagnoses"

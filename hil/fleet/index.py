@@ -25,11 +25,11 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from drivers.errors import InputError
-from drivers.files import replace_file, sync_directory
+from drivers.files import read_text, replace_file, sync_directory
 from hil.fleet.executor import completed
 from hil.fleet.read import SCHEMAS, TABLES, Place, parquet, read_batch, text
 from hil.fleet.values import TORQUE_FILE, is_result
-from hil.records.files import held, parse_json, read_text
+from hil.records.files import held, parse_json
 from hil.records.journal import CHECKSUMS, MARKER
 
 FOLDER = "fleet-index"

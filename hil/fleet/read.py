@@ -18,10 +18,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from drivers.errors import BridgeError, InputError
+from drivers.files import read_text
 from drivers.undo import one_line
 from hil.figures.history import REPLAY, FoundCampaign, Pass, read_campaign
 from hil.fleet.values import Value, is_result, of_pass, of_result, of_torque_file
-from hil.records.files import parse_json, read_text
+from hil.records.files import parse_json
 from hil.records.journal import MARKER
 from hil.records.rows import REQUIRED, Records
 

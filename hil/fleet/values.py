@@ -16,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import read_text
 from hil.axis.backlash import REVERSALS
 from hil.backlash.fitted import fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion
 from hil.backlash.trace import read_trace
 from hil.diagnosis.stored import STORED
 from hil.figures.iso230 import TARGET_RESOLUTION_MM, Iso230, iso230
-from hil.records.files import parse_json, read_text, split_lines
+from hil.records.files import parse_json, split_lines
 from hil.records.rows import Floats, Records
 
 

@@ -11,6 +11,7 @@ from datetime import datetime
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import read_text
 from hil.app.desk.desk import Desk
 from hil.app.desk.progress import Phase, Progress
 from hil.app.report.views import object_of, value_of
@@ -23,7 +24,7 @@ from hil.lost_motion.circle.job import DrivenCircle
 from hil.lost_motion.estimate import Estimate
 from hil.lost_motion.job import MeasuredLostMotion
 from hil.lost_motion.procedure import Proof
-from hil.records.files import parse_json, read_text
+from hil.records.files import parse_json
 from hil.records.rows import UM_PER_MM, Floats
 
 Points = list[tuple[float, float]]

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from drivers.clock import Waiting
 from drivers.errors import InputError, StateError
-from drivers.files import read_bytes, replace_file
+from drivers.files import encoding_of, read_bytes, replace_file
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Plan, Write
 from hil.axis.axis_file import DriveAxis
@@ -336,4 +336,5 @@ def _is_set(path: Path) -> bool:
     if suffix != ".toml":
         return suffix.removeprefix(".") in FORMATS
     with path.open("rb") as file:
-        return FORMAT.encode() in file.read(_HEAD_BYTES)
+        head = file.read(_HEAD_BYTES)
+    return FORMAT in head.decode(encoding_of(head), "replace")

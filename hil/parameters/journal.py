@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, sync_directory
+from drivers.files import decode_log, read_bytes, sync_directory
 from drivers.raw_parameters import DriveIdentity
 from hil.records.files import parse_json, split_lines
 
@@ -175,7 +175,7 @@ def _read(path: Path) -> Download | None:
     """A journal; None for one whose first line is torn, as nothing was written to the drive then."""
     data = read_bytes(path)
     whole = data[: data.rfind(b"\n") + 1]
-    lines = split_lines(whole.decode("utf-8", errors="replace"))
+    lines = split_lines(decode_log(whole))
     if not lines:
         return None
     try:

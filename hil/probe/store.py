@@ -21,7 +21,7 @@ from typing import Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
 from drivers.errors import InputError, StateError
-from drivers.files import read_bytes, replace_file, sync_directory
+from drivers.files import decode_log, read_bytes, replace_file, sync_directory
 from hil.correction.sealed import check, check_seen, open_sealed, remember, require_strong_new, reseal, seal
 from hil.probe.runout import FourFeeds, RunOut
 from hil.records.files import held, naming, parse_json
@@ -157,7 +157,7 @@ class RunOutStore:
         """The complete lines of the history; empty without a file. Raises InputError for a file that cannot be read."""
         if not self.history_path.exists():
             return []
-        text = read_bytes(self.history_path).decode("utf-8", "replace")
+        text = decode_log(read_bytes(self.history_path))
         whole = text[: text.rfind("\n") + 1]
         rows = csv.DictReader(io.StringIO(whole))
         return [row for row in rows if None not in row and None not in row.values()]  # complete lines only

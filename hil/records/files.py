@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Self
 
 from drivers.errors import InputError, StateError
-from drivers.files import read_bytes
 
 
 @contextmanager
@@ -30,16 +29,6 @@ def naming(path: str | Path) -> Iterator[None]:
         if error.path is not None:
             raise
         raise type(error)(error.what, path=path, line=error.line) from error
-
-
-def read_text(path: str | Path) -> str:
-    """The text of a UTF-8 file. Raises InputError naming it, and the line of the first byte that is not UTF-8."""
-    data = read_bytes(path)
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(f"byte {data[error.start]:02X}h is not UTF-8 text", path=path, line=line) from error
 
 
 MOST_DIGITS = 64

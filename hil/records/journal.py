@@ -21,8 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file, sync_directory
-from hil.records.files import AppendedFile, append_durably, parse_json, read_text
+from drivers.files import read_bytes, read_text, replace_file, sync_directory
+from hil.records.files import AppendedFile, append_durably, parse_json
 from hil.records.row_chain import CHAIN, Chained, RowChain, adopt, check_chain, written_lines
 from hil.records.rows import WITHDRAWN, Records, format_row, parse_csv, parse_rows
 

@@ -14,8 +14,8 @@ from typing import Any
 
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError, InputError, StateError
-from drivers.files import replace_file
-from hil.records.files import parse_json, read_text
+from drivers.files import read_text, replace_file
+from hil.records.files import parse_json
 
 FILE = "made_with.json"
 """In a campaign's folder: what its rows were measured with."""

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputError
-from hil.records.files import read_text
+from drivers.files import read_text
 
 Floats = NDArray[np.float64]
 
@@ -244,7 +244,7 @@ def parse_rows(text: str, path: str | Path) -> tuple[list[str], list[list[float]
     """
     header: list[str] | None = None
     rows: list[list[float]] = []
-    for number, line in enumerate(_LINE_END.split(text.removeprefix("\ufeff")), start=1):
+    for number, line in enumerate(_LINE_END.split(text), start=1):
         if not line.strip() or line.lstrip().startswith("#"):
             _withdraw(line, rows, path, number)
             continue

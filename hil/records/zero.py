@@ -19,8 +19,8 @@ from typing import Any
 
 from drivers.drive import DriveZero, ServoDrive
 from drivers.errors import InputError, StateError
-from drivers.files import replace_file
-from hil.records.files import parse_json, read_text
+from drivers.files import read_text, replace_file
+from hil.records.files import parse_json
 
 FILE = "zero.json"
 """A campaign's copy of the zero in which its rows were measured."""

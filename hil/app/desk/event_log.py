@@ -16,7 +16,7 @@ from enum import Enum
 from pathlib import Path
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import decode_log, read_bytes
 from hil.records.files import parse_json, split_lines
 
 EVENTS = "events.jsonl"
@@ -146,7 +146,7 @@ def _line(entry: Entry) -> bytes:
 def _read(path: Path) -> list[Entry]:
     entries = []
     try:
-        lines = split_lines(read_bytes(path).decode("utf-8", errors="replace"))
+        lines = split_lines(decode_log(read_bytes(path)))
     except InputError:
         return []
     for line in lines:

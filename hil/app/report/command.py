@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
+from drivers.files import decode_text, read_bytes, read_text, replace_file
 from hil.app.jobs.identity import identity
 from hil.app.report.issue import add_certificate_options, write_certificates
 from hil.app.report.job import now, write_report
@@ -160,7 +160,7 @@ def run(args: argparse.Namespace) -> int:
     campaigns: list[NamedCampaign] = []
     for label, path in zip(labels, paths, strict=True):
         data = read_bytes(path)
-        records, own = parse_csv(_text(data, path), path), stated_targets_mm(path)
+        records, own = parse_csv(decode_text(data, path), path), stated_targets_mm(path)
         one = NamedCampaign(label, records, "", Path(path).name, _sha256(data), calibrated_mm=own)
         if args.join and campaigns and campaigns[-1].label == label:
             one = _joined(campaigns.pop(), one)
@@ -249,20 +249,13 @@ def _identity(line: str) -> tuple[str, str]:
     return name.strip(), value.strip()
 
 
-def _text(data: bytes, path: str) -> str:
-    try:
-        return data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", path=path) from error
-
-
 def _sha256(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
 def _read_diagnosis(path: str) -> Mapping[str, Any]:
     try:
-        form = parse_json(_text(read_bytes(path), path))
+        form = parse_json(read_text(path, expected="a diagnosis (JSON)"))
     except ValueError as error:
         if isinstance(error, json.JSONDecodeError):
             raise InputError(f"is not JSON: {error.msg}", path=path, line=error.lineno) from error

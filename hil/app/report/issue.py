@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_bytes, read_text, replace_file
 from hil.app.terminal.output import write_json
 from hil.app.terminal.passwords import KEY, password
 from hil.axis.axis_file import AxisConfig
 from hil.correction.sealed import fingerprint, load_private_key, sign_detached
-from hil.records.files import naming, parse_json, read_text
+from hil.records.files import naming, parse_json
 from hil.records.journal import BEGUN, check_as_measured
 from hil.records.rows import parse_csv
 

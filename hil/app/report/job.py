@@ -10,14 +10,13 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_bytes, read_text, replace_file
 from hil.app.jobs.identity import identity
 from hil.app.report.data import NamedCampaign, ReportData
 from hil.app.report.views import diagnosed
 from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.diagnosis.stored import read_stored, stored_beside
 from hil.figures.history import find_campaigns, history, usual_pass
-from hil.records.files import read_text
 from hil.records.journal import stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import read_text
 from hil.correction.sealed.errors import WrongKeyPasswordError, WrongPasswordError
 from hil.correction.sealed.keys import NEW_CHARACTERS, require_strong
 from hil.records.files import split_lines
@@ -62,10 +62,7 @@ def add_key_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 def read_password_file(path: str | Path) -> str:
     """The first line of a file. Raises InputError when it cannot be read or is empty."""
-    try:
-        lines = split_lines(read_bytes(path, MOST_BYTES).decode("utf-8"))
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", path=path) from error
+    lines = split_lines(read_text(path, MOST_BYTES, expected="a password on the first line"))
     if not lines or not lines[0]:
         raise InputError("holds no password, expected one on its first line", path=path)
     return lines[0]

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
+from drivers.files import read_text
 from hil.diagnosis.stored import measurement_of, pass_number
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
@@ -100,8 +100,4 @@ def in_order(paths: Sequence[str | Path]) -> list[Path]:
 
 def read_model(path: str, effects: Sequence[Effect] = ALL) -> Model:
     """A model file. Raises InputError naming it."""
-    try:
-        text = read_bytes(path).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise InputError("is not UTF-8 text", path=path) from error
-    return Model.from_json(text, path, effects)
+    return Model.from_json(read_text(path, expected="a model (JSON)"), path, effects)

@@ -10,6 +10,7 @@ from pathlib import Path
 from nicegui import events, ui
 
 from drivers.errors import InputError
+from drivers.files import decode_text
 from hil.app.jobs.job import Job
 from hil.app.panel.pieces import (
     Latest,
@@ -173,7 +174,7 @@ class TypedTables:
     async def _bring(self, event: events.UploadEventArguments) -> None:
         async def fill() -> None:
             self._view.desk.control.require(self._view.token)
-            text = (await event.file.read()).decode("utf-8-sig", "replace")
+            text = decode_text(await event.file.read(), event.file.name, older=True)
             columns = {
                 "straightness": "deviation_um",
                 "signs": "from_mm",

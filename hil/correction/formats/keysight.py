@@ -55,7 +55,7 @@ def load(text: str, settings: KeysightSettings = KeysightSettings()) -> Records:
     targets: list[float] = []
     errors: list[float] = []
     last_line = {"positions": 0, "linearerr": 0}
-    for line_number, name, kind, value in _fields(text.removeprefix("\ufeff")):
+    for line_number, name, kind, value in _fields(text):
         if name.lower() not in last_line:
             continue
         if kind.lower() != "textunit":

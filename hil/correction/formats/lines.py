@@ -52,7 +52,7 @@ def load(text: str, settings: LinesSettings) -> Records:
     pattern = settings.compiled
     found: list[tuple[int, re.Match[str]]] = []
     between: int | None = None
-    for line_number, line in numbered_lines(text.removeprefix("\ufeff")):
+    for line_number, line in numbered_lines(text):
         if match := pattern.search(line):
             if between is not None and found:
                 raise InputError("does not match the pattern, and lines after it do", line=between)

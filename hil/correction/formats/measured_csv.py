@@ -70,11 +70,7 @@ class MeasuredCsvSettings:
 
 def load(text: str, settings: MeasuredCsvSettings = MeasuredCsvSettings()) -> Records:
     """The rows in the order of the file. Lines that begin with # are left out. Raises InputError with the line."""
-    rows = [
-        (line_number, line)
-        for line_number, line in numbered_lines(text.removeprefix("\ufeff"))
-        if line and not line.startswith("#")
-    ]
+    rows = [(line_number, line) for line_number, line in numbered_lines(text) if line and not line.startswith("#")]
     if len(rows) < 2:
         raise InputError("holds no table, expected a header and at least one row")
     delimiter = settings.delimiter or _delimiter(rows[0][1])

@@ -64,7 +64,7 @@ class _Read:
 
 def load(text: str, settings: RenishawSettings = RenishawSettings()) -> Records:
     """The rows in the order of the file; the first way and the one back are one run. Raises InputError with the line."""
-    read = _sections(text.removeprefix("\ufeff"), settings)
+    read = _sections(text, settings)
     _check(read)
     rows: list[tuple[float, float, float, float]] = []
     run, seen = 0, set[int]()

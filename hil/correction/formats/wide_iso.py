@@ -43,7 +43,7 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     """The rows of all runs. Raises InputError with the line, also for an empty cell."""
     rows = [
         (line_number, _cells(line, settings.delimiter))
-        for line_number, line in numbered_lines(text.removeprefix("\ufeff"))
+        for line_number, line in numbered_lines(text)
         if line and not line.startswith("#")
     ]
     if len(rows) < 2:

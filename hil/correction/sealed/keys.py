@@ -30,7 +30,7 @@ from cryptography.hazmat.primitives.serialization import (
 )
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_text, replace_file
 from hil.correction.sealed.container import SIGNATURE_BYTES, Cost
 from hil.correction.sealed.errors import CostError, DamagedError, ForeignSignatureError, WrongKeyPasswordError
 from hil.records.files import parse_json
@@ -103,7 +103,7 @@ def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *,
 def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:
     """Read a private key. Raises WrongKeyPasswordError, CostError for a key derivation that would take too long or too much memory,
     before it is computed, or InputError when the file is no encrypted Ed25519 key."""
-    block = _ENCRYPTED.search(read_bytes(path, MAX_KEY_FILE_BYTES))
+    block = _ENCRYPTED.search(_pem(path))
     try:
         der = b"" if block is None else base64.b64decode(b"".join(block[1].split()), validate=True)
         _check_cost(der)
@@ -120,6 +120,11 @@ def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:
     return key
 
 
+def _pem(path: str | Path) -> bytes:
+    """A key file without what an editor puts around its text: a byte-order mark, UTF-16."""
+    return read_text(path, MAX_KEY_FILE_BYTES, older=True, expected="a key (PEM)").encode()
+
+
 def save_public_key(path: str | Path, public: Ed25519PublicKey) -> None:
     """Write a public key as PEM. Raises InputError when the file exists already."""
     if os.path.lexists(path):
@@ -129,7 +134,7 @@ def save_public_key(path: str | Path, public: Ed25519PublicKey) -> None:
 
 def load_public_key(path: str | Path) -> Ed25519PublicKey:
     """Read a public key. Raises InputError when the file is no Ed25519 public key."""
-    data = read_bytes(path, MAX_KEY_FILE_BYTES)
+    data = _pem(path)
     try:
         public = load_pem_public_key(data)
     except (ValueError, UnsupportedAlgorithm) as error:

@@ -13,10 +13,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from drivers.errors import InputError
-from drivers.files import replace_file
+from drivers.files import read_text, replace_file
 from hil.correction.sealed.errors import ReplacedError
 from hil.correction.sealed.sealing import SealedInfo
-from hil.records.files import parse_json, read_text
+from hil.records.files import parse_json
 
 
 @dataclass(frozen=True)

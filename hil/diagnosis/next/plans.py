@@ -17,8 +17,9 @@ from pathlib import Path
 
 from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from drivers.files import read_text
 from hil.diagnosis.next.planned_run import Point
-from hil.records.files import read_text, split_lines
+from hil.records.files import split_lines
 from hil.records.rows import parse_number, shown
 
 REQUIRED = ("run", "direction", "target_mm")

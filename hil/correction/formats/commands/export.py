@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_text, replace_file
 from hil.app.terminal.axis_options import add_password_options, open_store, positive
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.app.terminal.records_input import add_effects_option, read_effects
@@ -117,7 +117,7 @@ def read_source(args: argparse.Namespace) -> Compensation:
         return Compensation(read_manual_tables(args.source))
     if suffix != ".json":
         raise InputError(f"is a {suffix or 'file without suffix'}, expected .toml, .csv or .json", path=args.source)
-    text = read_bytes(args.source).decode("utf-8", errors="replace")
+    text = read_text(args.source, expected="tables or a model (JSON)")
     try:
         data = parse_json(text)
     except ValueError as error:

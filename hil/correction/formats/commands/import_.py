@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import codecs
 import json
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
+from drivers.files import read_text, replace_file
 from hil.app.terminal.output import add_json_option, print_facts, write_json
 from hil.correction.formats import CONTROLLERS, MEASUREMENTS, manual_csv
 from hil.correction.formats.commands.options import (
@@ -89,28 +88,13 @@ def run(args: argparse.Namespace) -> int:
         if controller.name == args.format:
             settings = settings_from(args, args.format, controller.settings, options)
             with naming(args.file), as_typed(options):
-                tables = controller.load(_text(args.file), settings)
+                tables = controller.load(read_text(args.file, older=True), settings)
             return _write_tables(args, tables)
     measurement = next(one for one in MEASUREMENTS if one.name == args.format)
     settings = settings_from(args, args.format, measurement.settings, options)
     with naming(args.file), as_typed(options):
-        records = measurement.load(_text(args.file), settings)
+        records = measurement.load(read_text(args.file, older=True), settings)
     return _write_records(args, records)
-
-
-def _text(path: str) -> str:
-    """UTF-8; UTF-16 where it begins with its mark, as office programs write it; else Latin-1, as older programs do."""
-    data = read_bytes(path)
-    try:
-        if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            return data.decode("utf-16")
-        if b"\0" in data:
-            raise InputError("holds zero bytes, expected text (UTF-8, Latin-1, or UTF-16 with its mark)", path=path)
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        if error.encoding.startswith("utf-16"):
-            raise InputError("begins as UTF-16 text and does not go on so", path=path) from error
-        return data.decode("latin-1")
 
 
 def _write_tables(args: argparse.Namespace, tables: TableSet) -> int:

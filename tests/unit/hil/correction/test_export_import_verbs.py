@@ -110,8 +110,8 @@ ASCII = WIDE.translate({0x2191: "+", 0x2193: "-", 0x2212: "-"})
         (b"\xfe\xff" + WIDE.encode("utf-16-be"), None),
         (ASCII.replace("target", "Weg in \N{MICRO SIGN}m").encode("latin-1"), None),
         (ASCII.replace("\r\n", "\r").encode(), None),
-        (WIDE.encode("utf-16-le"), "holds zero bytes, expected text"),
-        (WIDE.encode("utf-16")[:-1], "begins as UTF-16 text and does not go on so"),
+        (WIDE.encode("utf-16-le"), "UTF-16 without its byte-order mark"),
+        (WIDE.encode("utf-16")[:-1], "is not UTF-16 text"),
         (b"", "holds no table"),
     ],
 )
