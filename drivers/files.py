@@ -82,7 +82,9 @@ def decode_text(
             raise InputError(f"is {form}, expected {expected}", path=path)
     codec = encoding_of(data)
     if codec == "utf-8" and b"\0" in data[:2]:
-        raise InputError(f"holds zero bytes, as UTF-16 without its byte-order mark does, expected {expected}", path=path)
+        raise InputError(
+            f"holds zero bytes, as UTF-16 without its byte-order mark does, expected {expected}", path=path
+        )
     try:
         text = data.decode(codec)
     except UnicodeDecodeError as error:
