@@ -102,7 +102,8 @@ class DriveLimits:
 class DriveSample:
     """One reading of the drive. What a backend cannot tell is None, never a made-up zero.
 
-    time_ns: the clock's time at which the values were received; check `age_ns` before using them.
+    time_ns: the clock's time at which the values were received; check `age_ns` before using them. since_ns: before they were asked
+    for, None where time_ns is exact; where this process or the wire is delayed, the values are of any moment between the two.
     limited: the drive reports that a limit of its own is active (CiA-402: statusword bit 11, internal limit), such as a software
     limit.
     """
@@ -117,6 +118,12 @@ class DriveSample:
     homed: bool | None = None
     fault_code: int | None = None
     limited: bool | None = None
+    since_ns: int | None = None
+
+    @property
+    def earliest_ns(self) -> int:
+        """The earliest time at which the values can have been taken, ns."""
+        return self.time_ns if self.since_ns is None else self.since_ns
 
     def age_ns(self, now_ns: int) -> int:
         return now_ns - self.time_ns

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import os
+import select
 import socket
 import struct
 import threading
@@ -20,6 +21,7 @@ import can
 from drivers.canopen.sync import CLAIM_S, SYNC, YIELD_S, Sync
 from drivers.clock import IO_SLICE_S, NS_PER_S, Clock
 from drivers.errors import LinkLostError, StateError
+from drivers.listening import Listening
 
 POLL_S = 0.05
 """Longest time that `poll` dispatches, s. A frame takes about 30 µs, so this empties a socket's default receive buffer (about 280
@@ -228,43 +230,50 @@ class CanLink:
     def poll(self) -> None:
         """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Raises LinkLostError."""
         with self._lock:
-            if not self._receive(0.0):
+            if not self._received():
                 return  # as in nearly every cycle of a stream
             over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
             while not over.expired:
                 if heard.expired:
                     self.clock.check_interrupt()
                     heard = self.clock.deadline(IO_SLICE_S)
-                if not self._receive(0.0):
+                if not self._received():
                     return
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds. Raises LinkLostError.
+        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds of listening (`Listening`).
+        Raises LinkLostError.
 
         Every wait for a frame goes through here. The operator's stop ends it within `IO_SLICE_S`: see `Clock.check_interrupt`.
         """
         with self._lock:
             if done():
                 return True
-            now_ns = self.clock.now_ns
-            start_ns = now_ns()
-            waited_s = 0.0  # a wait on the bus counts in full, even where it does not advance the clock
-            left_s = timeout_s
-            while left_s > 0:
-                slice_s = min(left_s, IO_SLICE_S)
+            listening, received = Listening(timeout_s, self.clock.now_ns), True
+            while slice_s := listening.next_slice_s(in_vain=not received):
                 received = self._receive(slice_s)
-                if not received:
-                    waited_s += slice_s
                 if done():
                     return True
-                at_ns = now_ns()
+                at_ns = self.clock.now_ns()
                 if not received or at_ns - self._checked_ns >= _SLICE_NS:
                     self._checked_ns = at_ns
                     self.clock.check_interrupt()
-                left_s = timeout_s - max(waited_s, (at_ns - start_ns) / NS_PER_S)
-            if not done():
-                self.poll()  # if this process was kept waiting, frames that came in time are in the receive buffer
+            self.poll()  # frames that came in time may be in the receive buffer
             return done()
+
+    def _received(self) -> bool:
+        """Dispatch a frame that has arrived; False when nothing waits. Raises LinkLostError.
+
+        To python-can an adapter's line that is no frame, such as an acknowledgement, is silence: more may wait behind it."""
+        if self._receive(0.0):
+            return True
+        try:
+            return bool(select.select([self.bus], [], [], 0.0)[0])
+        except (
+            *_GONE,
+            NotImplementedError,
+        ):  # an interface without a descriptor; a lost bus raises when it is received from
+            return False
 
     def _receive(self, timeout_s: float) -> bool:
         """Take and dispatch one frame; False when none came in time. Raises LinkLostError."""

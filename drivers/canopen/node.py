@@ -144,8 +144,7 @@ class NodeMonitor:
         answered: the node has just answered a request, so that its heartbeat may be late, on a computer whose processes wait for each
         other; after `LATE_TIMES` its limit it has stopped.
         """
-        if self._rebooted:
-            raise LinkLostError(f"{self.name}: node {self.node_id} restarted by itself; open it again")
+        self.check_restart()
         if self._limit_ns is None or self._heard_ns is None:
             return
         silent_ns = self.link.clock.now_ns() - self._heard_ns
@@ -154,6 +153,11 @@ class NodeMonitor:
                 f"{self.name}: no heartbeat of node {self.node_id} for {silent_ns / NS_PER_S:.3f} s,"
                 f" expected every {self._limit_ns / NS_PER_S:g} s at least"
             )
+
+    def check_restart(self) -> None:
+        """Raise LinkLostError when the node has restarted without a command."""
+        if self._rebooted:
+            raise LinkLostError(f"{self.name}: node {self.node_id} restarted by itself; open it again")
 
     def last_error_code(self) -> int | None:
         """The code of the last emergency, None when there was none; 0: the errors are gone."""

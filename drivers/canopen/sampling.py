@@ -18,8 +18,8 @@ from drivers.canopen.sync import SYNC
 from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError, TransportError
 
 ANSWER_WITHIN_S = 0.5
-"""Time within which a SYNC that is not answered is sent again, s: the default limit of the heartbeat. Processes on two cores, four of
-them computing without a pause, kept an answer back for up to 0.2 s and, among fourteen, for 1 s."""
+"""Time within which a SYNC that is not answered is sent again, s of listening (`Listening`): the default limit of the heartbeat.
+Processes on two cores, four of them computing without a pause, kept an answer back for up to 0.2 s."""
 LEAST_ASKED = 2
 PROOFS = 3
 """Tries to see a position by SYNC between two by SDO: an encoder at rest is noisy."""
@@ -55,6 +55,7 @@ class Sampler:
         self._timeout_s = timeout_s
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
+        self.asked_ns = 0  # before the values were taken
         self.missed = 0  # SYNCs that were not answered in time
         self.tpdos_in_stream = False  # a stream has them; see `StoppableDrive.begin_streaming`
         self.without_pdos = False  # the drive takes no TPDO of status and position: every sample is read by SDO
@@ -131,13 +132,17 @@ class Sampler:
         Raises NoAnswerError when no SYNC is answered, LinkLostError when the node is lost.
         """
         self._link.poll()
-        self._monitor.check(answered=True)
-        deadline, asked = self._link.clock.deadline(ANSWER_WITHIN_S), 0
+        self._monitor.check_restart()  # the heartbeat: once those that were sent before an answer have been received
+        listened_s, asked = 0.0, 0
         while self._settled():
-            if self._answered(send=True) and (not asked or self._proven()):
+            if not self._answered(send=True):
+                listened_s += self._timeout_s
+            elif not asked or self._proven():
                 break
+            else:
+                listened_s += ANSWER_WITHIN_S
             asked += 1
-            if asked >= LEAST_ASKED and (deadline.expired or asked * self._timeout_s >= ANSWER_WITHIN_S):
+            if asked >= LEAST_ASKED and listened_s >= ANSWER_WITHIN_S:
                 self._monitor.check()
                 raise NoAnswerError(
                     f"{self._sdo.name}: node {self._sdo.node_id} does not answer SYNC within {self._timeout_s:g} s, asked"
@@ -202,6 +207,7 @@ class Sampler:
     def _answered(self, *, send: bool) -> bool:
         """Whether all TPDOs answer one SYNC, sent here or by its owner."""
         self._awaited, self._short_tpdo = {spec.cob_id for spec in self.specs}, None
+        self.asked_ns = self._link.clock.now_ns()
         if send:
             self._link.send(SYNC, b"")
         answered = self._link.wait(self._complete, self._timeout_s)
@@ -220,6 +226,7 @@ class Sampler:
             return self.by_own_sync
 
     def _read(self) -> None:
+        self.asked_ns = self._link.clock.now_ns()
         for spec in self.specs:
             for entry in spec.entries:
                 self.values[entry] = self._sdo.read(entry)

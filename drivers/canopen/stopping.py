@@ -150,6 +150,7 @@ class StoppableDrive(ServoDrive):
             self.homing.homed,
             self._fault_code,
             limited=bool(status & Status.INTERNAL_LIMIT),
+            since_ns=self.sampler.asked_ns,
         )
 
     # -- streaming -------------------------------------------------------------------------------------------------------

@@ -56,18 +56,19 @@ class Gauge(DistanceInstrument):
         self._looked_ns = self._clock.now_ns()
 
     def poll(self) -> list[Reading]:
-        now_ns = self._clock.now_ns()
+        began_ns = self._clock.now_ns()
         try:
-            readings = self._look(now_ns)
+            readings = self._look()
         except LinkLostError:
             self._start_anew()
             self._latched = True
             raise
-        self._looked_ns = now_ns
+        self._looked_ns = began_ns
         return readings
 
-    def _look(self, now_ns: int) -> list[Reading]:
+    def _look(self) -> list[Reading]:
         data = self._link.read_waiting()
+        now_ns = self._clock.now_ns()  # after it: the kernel may take its time to hand on what has arrived
         if not self.answers_when_asked:
             return self._readings(data, now_ns, self._looked_ns)
         readings: list[Reading] = []

@@ -147,7 +147,7 @@ class UmdLaser(DistanceInstrument):
     # -- readings ----------------------------------------------------------------------------------------------------
     def poll(self) -> list[Reading]:
         readings: list[Reading] = []
-        now_ns = self._clock.now_ns()
+        began_ns = self._clock.now_ns()
         try:
             data = self._link.read_waiting()
         except LinkLostError:
@@ -155,7 +155,8 @@ class UmdLaser(DistanceInstrument):
             if self.settings.latch_loss:
                 self._latched = ReadingStatus.HEAD_ERROR
             raise
-        since_ns, self._looked_ns = self._looked_ns, now_ns
+        now_ns = self._clock.now_ns()  # after it: the kernel may take its time to hand on what has arrived
+        since_ns, self._looked_ns = self._looked_ns, began_ns
         if not data:
             return readings
         for event in self._decoder.feed(data):

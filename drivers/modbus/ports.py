@@ -23,6 +23,7 @@ from contextlib import contextmanager, suppress
 import serial
 
 from drivers.clock import IO_SLICE_S
+from drivers.listening import Listening
 from drivers.modbus.plan import silent_interval_s
 
 Check = Callable[[], None]
@@ -35,14 +36,14 @@ _TURNAROUND_S = 0.02
 leaves the time-out to the master (2.4.1)."""
 
 
-def slices(end_s: float, check: Check) -> Iterator[float]:
-    """Durations to block next, s, until this moment of `time.monotonic`; `check` is called before each. The last one is 0.0.
+def slices(within: Listening, check: Check) -> Iterator[float]:
+    """Durations to block next, s, until the time-out is over; `check` is called before each. The last one is 0.0.
 
     Before and not after: while bytes come in all the time no second slice is taken.
     """
-    while (left_s := end_s - time.monotonic()) > 0.0:
+    while slice_s := within.next_slice_s():
         check()
-        yield min(left_s, IO_SLICE_S)
+        yield slice_s
     yield 0.0
 
 
@@ -67,8 +68,8 @@ class Port(ABC):
     def send(self, frame: bytes) -> None: ...
 
     @abstractmethod
-    def receive(self, end_s: float) -> bytes:
-        """The bytes that have arrived, as soon as there are any; b"" when there are none by `end_s` (`time.monotonic`)."""
+    def receive(self, within: Listening) -> bytes:
+        """The bytes that have arrived, as soon as there are any; b"" when there are none within the time-out."""
 
     @abstractmethod
     def discard(self, silence_s: float) -> None:
@@ -124,9 +125,9 @@ class TcpPort(Port):
         connection.settimeout(IO_SLICE_S)  # the buffer fills up only where the server does not read
         connection.sendall(frame)
 
-    def receive(self, end_s: float) -> bytes:
+    def receive(self, within: Listening) -> bytes:
         connection = self._opened()
-        for slice_s in slices(end_s, self._check):
+        for slice_s in slices(within, self._check):
             connection.settimeout(slice_s)
             with suppress(TimeoutError, BlockingIOError):
                 data = connection.recv(4096)
@@ -184,7 +185,7 @@ def _dialled(place: tuple[str, int], timeout_s: float, check: Check) -> socket.s
 
     threading.Thread(target=dial, name="modbus connect", daemon=True).start()
     try:
-        for slice_s in slices(time.monotonic() + timeout_s, check):
+        for slice_s in slices(Listening(timeout_s), check):
             with suppress(queue.Empty):
                 found = done.get(timeout=slice_s)
                 if isinstance(found, OSError):
@@ -271,16 +272,16 @@ class SerialPort(Port):
         self._reply_due_s = time.monotonic() + len(frame) * self._character_s + _TURNAROUND_S
 
     def _put(self, port: serial.Serial, frame: bytes, check: Check) -> None:
-        for slice_s in slices(time.monotonic() + self._timeout_s, check):
+        for slice_s in slices(Listening(self._timeout_s), check):
             frame = frame[_written(port, frame) :]
             if not frame:
                 return
             time.sleep(slice_s)
         raise TimeoutError("the port takes no bytes")
 
-    def receive(self, end_s: float) -> bytes:
+    def receive(self, within: Listening) -> bytes:
         port = self._opened()
-        for slice_s in slices(end_s, self._check):
+        for slice_s in slices(within, self._check):
             if data := _taken(port, wait=slice_s > 0.0):
                 self._reply_due_s = 0.0
                 return data
@@ -289,9 +290,8 @@ class SerialPort(Port):
 
     def discard(self, silence_s: float) -> None:
         port = self._opened()
-        end_s = silent_s = time.monotonic() + silence_s
-        end_s += _MOST_SILENCES * silence_s
-        for _ in slices(end_s, self._check):
+        silent_s = time.monotonic() + silence_s
+        for _ in slices(Listening((1 + _MOST_SILENCES) * silence_s), self._check):
             if _taken(port, wait=True):
                 silent_s = time.monotonic() + silence_s
             elif time.monotonic() >= silent_s:

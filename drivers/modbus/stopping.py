@@ -127,6 +127,7 @@ class StoppableDrive(ServoDrive):
     def _look(self) -> DriveSample:
         """A sample, without the supervision of a velocity run."""
         self._require_open()
+        asked_ns = self.clock.now_ns()
         raw = self.access.read(self.map.sampled())
         time_ns = self.clock.now_ns()
         values, state = self.values, self.values.state(raw)
@@ -145,6 +146,7 @@ class StoppableDrive(ServoDrive):
             following_error_mm=values.load_mm(raw, self.map.following_error),
             homed=self.homing.homed,
             fault_code=values.fault_code(raw),
+            since_ns=asked_ns,
         )
 
     # -- coming to rest, stopping --------------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ import itertools
 import logging
 import math
 import struct
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -28,6 +27,7 @@ from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
 from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.listening import Listening
 from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, Span, Table, WireCost
 from drivers.modbus.ports import Check, Port, SerialPort, TcpPort
 
@@ -334,11 +334,13 @@ class PymodbusWire:
             self._rest = b""
         frame = self._frame(unit, request, number)
         port.send(frame)
-        end_s, received, head = time.monotonic() + timeout_s, 0, b""
+        within, received, head = Listening(timeout_s), 0, b""
         while received <= _MOST_BYTES:
-            data = port.receive(end_s + (port.rest_of_frame_s if received else 0.0))
+            data = port.receive(within)
             if not data:
                 break
+            if not received:
+                within.extend(port.rest_of_frame_s)
             received += len(data)
             self._rest += data
             head = (head + data)[: len(frame)]

@@ -9,7 +9,6 @@ from __future__ import annotations
 from bisect import bisect_left, bisect_right
 from collections import deque
 from dataclasses import dataclass
-from itertools import pairwise
 
 from drivers.clock import NS_PER_S
 from drivers.instrument import Reading
@@ -35,12 +34,21 @@ _STANDS_SHARE = 0.1
 
 @dataclass(frozen=True)
 class _Pair:
-    """A reading and the motor positions, mm, between which it was taken. bound_mm: the bound of reading - motor that it gives."""
+    """A reading and the motor positions, mm, between which it was taken."""
 
     reading_mm: float
     low_mm: float
     high_mm: float
-    bound_mm: float
+
+    @property
+    def least_mm(self) -> float:
+        """The smallest reading - motor."""
+        return self.reading_mm - self.high_mm
+
+    @property
+    def most_mm(self) -> float:
+        """The largest reading - motor."""
+        return self.reading_mm - self.low_mm
 
     @property
     def motor_mm(self) -> float:
@@ -66,10 +74,11 @@ class Agreement:
         self.limits = limits
         self._fastest_mm_s = fastest_mm_s
         self._times_ns: list[int] = []
+        self._since_ns: list[int] = []
         self._places_mm: list[float] = []
         self._recent: deque[Reading] = deque()
-        self._least: _Pair | None = None  # the one whose reading − motor can at most be the smallest
-        self._most: _Pair | None = None  # the one whose reading − motor is at least the largest
+        self._least: _Pair | None = None  # of the smallest `most_mm`
+        self._most: _Pair | None = None  # of the largest `least_mm`
         self._travel_mm = (0.0, 0.0)
         self._rest: _Rest | None = None
         self._followed: tuple[float, float] | None = None  # reading and motor position at `followed_ns`, mm
@@ -79,6 +88,7 @@ class Agreement:
     def forget(self) -> None:
         """Compare travel from the next reading on: call when either zero changes."""
         self._times_ns.clear()
+        self._since_ns.clear()
         self._places_mm.clear()
         self._recent.clear()
         self._least = self._most = self._followed = None
@@ -88,15 +98,18 @@ class Agreement:
         """Drop the last rest: call while the axis is without power, when a person may move something in the machine."""
         self._rest = None
 
-    def motor_at(self, time_ns: int, position_mm: float) -> None:
-        """Take a motor position, mm. One that is not later than the position before it is not used."""
+    def motor_at(self, time_ns: int, position_mm: float, *, since_ns: int | None = None) -> None:
+        """Take a motor position, mm, of a moment from `since_ns` to `time_ns`; None: of `time_ns` exactly.
+
+        One that is not later than the position before it is not used."""
         if self._times_ns and time_ns <= self._times_ns[-1]:
             return
         self._times_ns.append(time_ns)
+        self._since_ns.append(time_ns if since_ns is None else since_ns)
         self._places_mm.append(position_mm)
         if time_ns - self._times_ns[0] > 2 * _KEEP_S * NS_PER_S:
             old = bisect_left(self._times_ns, time_ns - round(_KEEP_S * NS_PER_S))
-            del self._times_ns[:old], self._places_mm[:old]
+            del self._times_ns[:old], self._since_ns[:old], self._places_mm[:old]
 
     def rate(self, reading: Reading, speed_mm_s: float) -> str | None:
         """What is wrong with the rate of the readings, None when nothing is. speed_mm_s: commanded, 0.0: not known.
@@ -132,21 +145,21 @@ class Agreement:
         wrong = self._at_rest(reading, low_mm, high_mm)
         if wrong is not None:
             return wrong
-        least = _Pair(position_mm, low_mm, high_mm, position_mm - low_mm)
-        most = _Pair(position_mm, low_mm, high_mm, position_mm - high_mm)
+        now = _Pair(position_mm, low_mm, high_mm)
         if self._least is None or self._most is None:
-            self._least, self._most, self._travel_mm = least, most, span
+            self._least = self._most = now
+            self._travel_mm = span
             return None
         self._travel_mm = min(self._travel_mm[0], low_mm), max(self._travel_mm[1], high_mm)
-        if least.bound_mm < self._least.bound_mm:
-            self._least = least
-        if most.bound_mm > self._most.bound_mm:
-            self._most = most
-        travel_mm = self._travel_mm[1] - self._travel_mm[0]
-        allowed_mm = self.limits.slack_mm + SHARE_OF_TRAVEL * travel_mm
-        if self._most.bound_mm - self._least.bound_mm <= allowed_mm:
+        if now.most_mm < self._least.most_mm:
+            self._least = now
+        if now.least_mm > self._most.least_mm:
+            self._most = now
+        allowed_mm = self.limits.slack_mm + SHARE_OF_TRAVEL * (self._travel_mm[1] - self._travel_mm[0])
+        if self._most.least_mm - self._least.most_mm <= allowed_mm:
             return None
-        return self._told(most, self._least if self._most is most else self._most, allowed_mm)
+        extreme = self._least if self._most is now else self._most
+        return self._told(reading, extreme.reading_mm, now.motor_mm - extreme.motor_mm, allowed_mm)
 
     def _follow(self, reading: Reading, low_mm: float, high_mm: float) -> None:
         """Note the time of a reading at rest that moved as the motor did since the one before: by half to twice of it, as the load may
@@ -202,31 +215,30 @@ class Agreement:
         times = self._times_ns
         if not times or from_ns < times[0]:
             return None
-        places = self._places_mm[bisect_right(times, from_ns) - 1 : bisect_left(times, to_ns) + 1]
-        beyond_ns = max(0, to_ns - times[-1])
-        late_ns = times[-1] - times[-2] if len(times) > 1 else 0
-        if beyond_ns and late_ns > 2 * DATED_WITHIN_S * NS_PER_S:
-            beyond_ns += late_ns  # the host was delayed: the last position may be as old as the interval before it
-        beyond_mm = beyond_ns / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
+        places = self._places_mm[bisect_right(times, from_ns) - 1 : bisect_left(self._since_ns, to_ns) + 1]
+        beyond_mm = max(0, to_ns - self._since_ns[-1]) / NS_PER_S * speed_mm_s * (1.0 + FASTER_SHARE)
         return min(places) - beyond_mm, max(places) + beyond_mm
 
-    def _told(self, now: _Pair, before: _Pair, allowed_mm: float) -> str:
-        """The deviation as a sentence: by the steps of the last second, else by the motor's latest travel, else by the whole
-        travel."""
-        seen_mm, motor_mm = now.reading_mm - before.reading_mm, now.motor_mm - before.motor_mm
+    def _told(self, reading: Reading, before_mm: float, motor_mm: float, allowed_mm: float) -> str:
+        """The deviation as a sentence, by the latest reading of the last second that shows it; else by an earlier one, before_mm, and
+        the motor's travel since, motor_mm."""
+        seen_mm, position_mm, motor_now_mm, step = (
+            _position(reading) - before_mm,
+            _position(reading),
+            self._motor_mm(reading),
+            False,
+        )
+        for before in reversed(self._recent):
+            since_mm, motor_since_mm = position_mm - _position(before), motor_now_mm - self._motor_mm(before)
+            if abs(since_mm - motor_since_mm) > allowed_mm:
+                seen_mm, motor_mm, step = since_mm, motor_since_mm, before is self._recent[-2]
+                break
         figures = (
-            f"it saw {seen_mm:.3f} mm while the motor travelled {motor_mm:.3f} mm,"
+            f"it saw {seen_mm:.3f} mm while the motor travelled about {motor_mm:.3f} mm,"
             f" allowed is a difference of {allowed_mm:.3f} mm"
         )
-        recent = [(_position(reading), self._motor_mm(reading)) for reading in self._recent]
-        for (one_mm, one_motor_mm), (next_mm, next_motor_mm) in pairwise(recent):
-            step_mm = next_mm - one_mm
-            if abs(step_mm) > self.limits.slack_mm and abs(next_motor_mm - one_motor_mm) < abs(step_mm) / 2.0:
-                return f"jumped by {step_mm:.3f} mm: {figures}"
-        for then_mm, then_motor_mm in reversed(recent):
-            if abs(recent[-1][1] - then_motor_mm) > allowed_mm:
-                seen_mm, motor_mm = recent[-1][0] - then_mm, recent[-1][1] - then_motor_mm
-                break
+        if step and abs(motor_mm) < abs(seen_mm) / 2.0:
+            return f"jumped by {seen_mm - motor_mm:.3f} mm: {figures}"
         if abs(seen_mm) < _STANDS_SHARE * abs(motor_mm):
             return f"stands still, whatever its status says: {figures}"
         if seen_mm * motor_mm < 0.0:

@@ -31,6 +31,9 @@ from hil.machine.time_out import Motion
 
 STALE_AFTER_S = 0.5
 """Greatest age of a sample or reading that is used, s, unless the axis file gives another."""
+POLLED_S = 0.25
+"""Longest time between two polls that counts as silence of the instrument, s: above the interval at rest. Beyond it this process was
+delayed, and what was sent meanwhile may come with the next poll."""
 STALLED_S = 3.0
 """Time at standstill, s, after which a commanded motion counts as stalled: brakes open and homings reverse in one or two seconds, and
 with the 6 s in which a Modbus drive is shut down it is less than the 10 s from a fault to the end."""
@@ -82,6 +85,7 @@ class WatchedAxis:
         """Drop earlier readings and compare travel from here on."""
         self._start_ns = self.drive.clock.now_ns()
         self._latest: Reading | None = None
+        self._polled_ns, self._silent_ns = self._start_ns, 0
         self.motion = None
         self._forget_travel()
 
@@ -202,6 +206,7 @@ class WatchedAxis:
         Raises DriveFaultError for a fault, OverspeedError, LimitError for a position that is not allowed, LinkLostError for an old
         sample, and MeasurementLostError for a lost signal, an old reading or one that does not agree with the motor.
         """
+        asked_ns = self.drive.clock.now_ns()
         sample = self.drive.sample()
         self.looked_ns = self.drive.clock.now_ns()
         self.drive.looked_at(sample)
@@ -216,11 +221,12 @@ class WatchedAxis:
         if self.motion is not None:
             self._judge_speed(sample)
         self._judge_place(sample)
-        self._agreement.motor_at(sample.time_ns, sample.position_load_mm)
+        self._agreement.motor_at(sample.time_ns, sample.position_load_mm, since_ns=sample.since_ns)
         self._take(readings, compared=sample.state is DriveState.ENABLED)
-        now_ns = self.drive.clock.now_ns()
-        if sample.age_ns(now_ns) > self._stale_ns:
-            raise LinkLostError(f"drive {self.drive.name}: no sample for {sample.age_ns(now_ns) / NS_PER_S:.2f} s")
+        if (
+            sample.age_ns(asked_ns) > self._stale_ns
+        ):  # not by now: what this process does with it is no delay of the drive
+            raise LinkLostError(f"drive {self.drive.name}: no sample for {sample.age_ns(asked_ns) / NS_PER_S:.2f} s")
         self._check_instrument_fresh()
         return sample, readings
 
@@ -252,6 +258,9 @@ class WatchedAxis:
         """New readings. Raises MeasurementLostError, not LinkLostError, when the instrument's port disappears."""
         if self.instrument is None:
             return ()
+        now_ns = self.drive.clock.now_ns()
+        self._silent_ns += min(now_ns - self._polled_ns, round(POLLED_S * NS_PER_S))
+        self._polled_ns = now_ns
         try:
             readings = self.instrument.poll()
         except LinkLostError as error:
@@ -278,6 +287,7 @@ class WatchedAxis:
                 raise self._lost(wrong, followed_ns=self._agreement.followed_ns)
         if readings:
             self._latest = readings[-1]
+            self._silent_ns = max(0, self._polled_ns - self._latest.time_ns)
 
     def _judge_speed(self, sample: DriveSample) -> None:
         """Check the motor's speed in a motion. Raises OverspeedError."""
@@ -306,12 +316,8 @@ class WatchedAxis:
             raise LimitError(f"drive {self.drive.name} {wrong}")
 
     def _check_instrument_fresh(self) -> None:
-        if self.instrument is None:
-            return
-        now_ns = self.drive.clock.now_ns()
-        newest_ns = self._start_ns if self._latest is None else max(self._latest.time_ns, self._start_ns)
-        if now_ns - newest_ns > self._stale_ns:
-            raise self._lost(f"no reading for {(now_ns - newest_ns) / NS_PER_S:.2f} s")
+        if self.instrument is not None and self._silent_ns > self._stale_ns:
+            raise self._lost(f"no reading for {self._silent_ns / NS_PER_S:.2f} s")
 
     def _lost(self, what: str, *, followed_ns: int | None = None) -> MeasurementLostError:
         return MeasurementLostError(f"instrument {self.instrument_name}: {what}", followed_ns=followed_ns)

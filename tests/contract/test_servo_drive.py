@@ -24,7 +24,9 @@ def test_opening_enables_and_moves_nothing(rig: Rig) -> None:
 def test_a_sample_is_fresh_and_says_so(rig: Rig) -> None:
     with rig.drive as drive:
         rig.run(0.5)
+        asked_ns = rig.clock.now_ns()
         sample = drive.sample()
+        assert asked_ns <= sample.earliest_ns <= sample.time_ns
         assert sample.age_ns(rig.clock.now_ns()) < 2_000_000
         assert sample.torque_percent is not None
 

@@ -381,7 +381,7 @@ class _Port:
 
     def send(self, data: bytes) -> None: ...
     def close(self) -> None: ...
-    def receive(self, end_s: float) -> bytes:
+    def receive(self, _within: object) -> bytes:
         return self.pieces.pop(0) if self.pieces else b""
 
 

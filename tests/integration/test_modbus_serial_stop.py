@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import pytest
 
+from drivers.listening import Listening
 from drivers.modbus import ports
 from drivers.modbus.ports import SerialPort
 
@@ -58,7 +59,7 @@ class Line:
             self.port.send(REQUEST)
             sent_s = time.monotonic()
             self.interrupt = True
-            self.port.receive(time.monotonic() + TIMEOUT_S)
+            self.port.receive(Listening(TIMEOUT_S))
         self.port.post([STOP])
         return sent_s
 
@@ -130,7 +131,7 @@ def test_a_stop_from_another_thread_leaves_while_a_reply_is_awaited(line: Line, 
         with line.port.exchange():
             line.port.send(REQUEST)
             sent.append(time.monotonic())
-            line.port.receive(time.monotonic() + TIMEOUT_S)
+            line.port.receive(Listening(TIMEOUT_S))
 
     thread = threading.Thread(target=ask)
     thread.start()
@@ -164,7 +165,7 @@ def test_a_stop_is_heard_where_select_of_an_empty_terminal_hangs(line: Line, mon
     thread = threading.Thread(target=press)
     thread.start()
     with pytest.raises(Stopped):
-        line.port.receive(time.monotonic() + TIMEOUT_S)
+        line.port.receive(Listening(TIMEOUT_S))
     heard_s = time.monotonic()
     thread.join()
     assert heard_s - pressed[0] < 0.2
@@ -175,7 +176,7 @@ def test_a_free_line_carries_a_stop_at_once(line: Line, monkeypatch: pytest.Monk
     line.reply_after(0.0)
     with line.port.exchange():
         line.port.send(REQUEST)
-        assert line.port.receive(time.monotonic() + TIMEOUT_S)
+        assert line.port.receive(Listening(TIMEOUT_S))
     began_s = time.monotonic()
     line.port.post([STOP])
     assert time.monotonic() - began_s < 0.5

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import socket
 import subprocess
 import sys
 import time
+import tty
 import uuid
 from collections.abc import Iterator
 from itertools import pairwise
@@ -88,6 +90,23 @@ def test_frames_that_are_not_ours_are_passed_over(pair: Pair) -> None:
     link.poll()
     assert seen == []
     assert link.error_frames == 1
+
+
+@pytest.mark.outside
+@pytest.mark.parametrize("before", [b"", b"z\r", b"\r\rz\rz\r", b"z\r" * 30])
+def test_lines_of_an_adapter_that_are_no_frames_hide_none(before: bytes) -> None:
+    """An slcan adapter acknowledges every frame that is sent; what came meanwhile waits behind that."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    try:
+        bus = can.Bus(os.ttyname(slave), interface="slcan", sleep_after_open=0.0)
+        with CanLink(bus, WallClock()) as link:
+            os.write(master, before + b"t1852AABB\r" + before + b"t705105\r")
+            link.poll()
+            assert link.frames_received == 2
+    finally:
+        os.close(master)
+        os.close(slave)
 
 
 def test_a_wait_is_bounded(pair: Pair) -> None:

@@ -1,14 +1,18 @@
 """Endpoints from text, requests told apart by their replies, and the name this pymodbus has for the unit id."""
 
+import socket
+import threading
 import time
 import tracemalloc
+from contextlib import nullcontext, suppress
 from unittest.mock import Mock
 
 import pytest
 from pymodbus.client import ModbusTcpClient
 
 from drivers.clock import IO_SLICE_S
-from drivers.errors import CapabilityError, InputError, LinkLostError
+from drivers.errors import CapabilityError, InputError, LinkLostError, NoAnswerError
+from drivers.listening import Listening
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.ports import slices
 from drivers.modbus.wire import (
@@ -108,12 +112,12 @@ def test_traffic_that_never_pauses_keeps_nobody_from_being_heard() -> None:
     """Whoever receives something in each first slice asks for the next receive, and never for a second slice."""
     check = Mock()
     for _ in range(3):
-        assert 0.0 < next(slices(time.monotonic() + 60.0, check)) <= IO_SLICE_S
+        assert 0.0 < next(slices(Listening(60.0), check)) <= IO_SLICE_S
     assert check.call_count == 3
 
 
 def test_after_the_last_slice_there_is_a_last_look() -> None:
-    assert list(slices(time.monotonic() - 1.0, lambda: None)) == [0.0]
+    assert list(slices(Listening(-1.0), lambda: None)) == [0.0]
 
 
 def test_numbers_come_again_and_none_is_kept() -> None:
@@ -129,3 +133,29 @@ def test_numbers_come_again_and_none_is_kept() -> None:
         tracemalloc.stop()
     assert held_bytes < 10_000
     assert (last, next(numbers), next(numbers)) == (0x7FFF, 1, 2)
+
+
+@pytest.mark.outside
+@pytest.mark.parametrize("held_up_s", [0.0, 0.03])
+def test_a_process_that_is_held_up_gives_the_reply_as_much_longer(held_up_s: float) -> None:
+    """A time-out of 50 ms, of 5 ms slices; the server answers after 150 ms, which only a process that ran meanwhile calls late."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def answer() -> None:
+            with server.accept()[0] as connection:
+                request = connection.recv(64)
+                time.sleep(0.15)
+                with suppress(OSError):
+                    connection.sendall(request[:5] + bytes((5, 1, 3, 2, 0, 42)))
+                connection.recv(64)  # until the client hangs up
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        wire = PymodbusWire(TcpEndpoint("127.0.0.1", server.getsockname()[1], 1.0), lambda: time.sleep(held_up_s))
+        try:
+            expected = nullcontext() if held_up_s else pytest.raises(NoAnswerError, match=r"no answer within 0\.05 s")
+            with expected:
+                assert wire.exchange(1, Request.read(Table.HOLDING, Span(0, 1)), 0.05) == (42,)
+        finally:
+            wire.disconnect()
+            thread.join()

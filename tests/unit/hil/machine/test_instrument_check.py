@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -15,6 +16,8 @@ from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from drivers.errors import MeasurementLostError, MotionTimeoutError, OverspeedError, SafetyError
 from drivers.instrument import Reading, ReadingStatus
+from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
+from drivers.instruments.gauge import Gauge
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.set_points import SetPointSettings
@@ -155,7 +158,7 @@ def test_a_host_that_is_held_up_makes_no_jump(held_up_s: float, jump_mm: float, 
     agreement = Agreement(AgreementLimits(latency_s=0.01), 100.0)
 
     def look(taken_s: float, dated_s: float, since_s: float, jump_mm: float = 0.0) -> str | None:
-        agreement.motor_at(round(dated_s * NS_PER_S), 100.0 * taken_s)
+        agreement.motor_at(round(dated_s * NS_PER_S), 100.0 * taken_s, since_ns=round(taken_s * NS_PER_S))
         seen_s = dated_s - 0.02
         reading = Reading(
             round(dated_s * NS_PER_S), ReadingStatus.GOOD, 100.0 * seen_s + jump_mm, 1, 0, round(since_s * NS_PER_S)
@@ -165,6 +168,131 @@ def test_a_host_that_is_held_up_makes_no_jump(held_up_s: float, jump_mm: float, 
     for number in range(1, 20):
         assert look(0.05 * number, 0.05 * number, 0.05 * (number - 1)) is None
     assert (look(1.0, 1.0 + held_up_s, 0.95, jump_mm) is None) is good
+
+
+class SlowTerminal:
+    """A gauge's line on a computer whose kernel takes `takes_s` to hand on what has come, from `at_s` on; asked or unasked."""
+
+    def __init__(self, machine: ToyMachine, *, asked: bool, takes_s: float, jump_mm: float) -> None:
+        self.machine, self.asked, self.takes_s, self.jump_mm = machine, asked, takes_s, jump_mm
+        self.at_s = math.inf
+        self.requests = 0
+
+    def open(self) -> None: ...
+    def close(self) -> None: ...
+    def write(self, _data: bytes) -> None:
+        self.requests += 1
+
+    def read_waiting(self) -> bytes:
+        jump_mm = 0.0
+        if self.machine.now_s >= self.at_s:
+            self.machine.clock.sleep_s(self.takes_s)
+            jump_mm = self.jump_mm
+        came, self.machine.readings = self.machine.readings, []
+        lines = [f"{(reading.position_mm or math.nan) + jump_mm:+.4f}\n".encode() for reading in came]
+        if not self.asked:
+            return b"".join(lines)
+        answer = lines[-1:] if self.requests else []
+        self.requests -= len(answer)
+        return b"".join(answer)
+
+
+@pytest.mark.parametrize(("takes_s", "jump_mm"), [(0.0, 0.0), (0.3, 0.0), (0.6, 0.0), (0.0, 40.0), (0.3, 80.0)])
+@pytest.mark.parametrize("asked", [True, False])
+def test_a_reading_is_as_late_as_the_kernel_hands_it_on(asked: bool, takes_s: float, jump_mm: float) -> None:
+    """At 100 mm/s the axis moves 30 mm while this process waits in `read`: what it reads then is of the end of the wait."""
+    machine = ToyMachine()
+    line = SlowTerminal(machine, asked=asked, takes_s=takes_s, jump_mm=jump_mm)
+    gauge = Gauge(line, machine.clock, AsciiDecoder(AsciiSettings(request=b"?" if asked else b"")))
+    lost = pytest.raises(MeasurementLostError, match=r"changed by|does not follow|jumped") if jump_mm else nullcontext()
+    with lost, AxisSession(ToyDrive(machine), gauge, MEASUREMENT) as session:
+        session.prepare()
+        line.at_s = machine.now_s + 0.5
+        session.move_to(100.0, 100.0)
+        line.at_s = math.inf
+
+
+@pytest.mark.parametrize(("takes_s", "jumps"), [(0.3, False), (0.6, False), (0.3, True)])
+def test_a_laser_s_reading_too(takes_s: float, jumps: bool) -> None:
+    parameters = BenchParameters(plant=geometric_axis(3))
+    how = replace(MEASUREMENT, targets_mm=(10.0, 200.0), reference_mm=10.0, velocity_mm_s=100.0)
+
+    class Slow(SerialLink):
+        until_s = 0.0
+
+        def read_waiting(self) -> bytes:
+            if bench.clock.now_ns() < self.until_s * NS_PER_S:
+                bench.clock.sleep_s(takes_s)
+            return super().read_waiting()
+
+    with Bench(parameters) as bench:
+        link = Slow(bench.laser_path)
+        laser = UmdLaser(link, bench.clock)
+        drive = VirtualDrive(bench.servo, parameters.scaling, parameters.limits, bench.clock)
+        with AxisSession(drive, laser, how) as session:
+            session.prepare()
+            link.until_s = bench.clock.now_ns() / NS_PER_S + 1.0
+            if jumps:
+                laser.settings = replace(laser.settings, direction=-1)
+            beside = pytest.raises(MeasurementLostError, match=r"changed by|jumped|runs against")
+            with beside if jumps else nullcontext():
+                session.move_to(150.0)
+
+
+@pytest.mark.parametrize("seen_mm", [3.0, -2.0, 0.0, 60.0])
+@pytest.mark.parametrize("look_s", [0.01, 0.05, 0.3])
+def test_the_figures_told_are_of_one_comparison(seen_mm: float, look_s: float) -> None:
+    """It saw, the motor travelled, allowed: the difference of the first two exceeds the third, and is that by which it jumped."""
+    agreement = Agreement(AgreementLimits(latency_s=0.01), 100.0)
+    told = None
+    for look in range(1, 400):
+        at_s = look * look_s
+        agreement.motor_at(round(at_s * NS_PER_S), 10.0 * at_s)
+        seen = 10.0 * at_s + (seen_mm - 10.0) * max(0.0, at_s - 2.0)
+        reading = Reading(round(at_s * NS_PER_S), ReadingStatus.GOOD, seen, look, 0, round((at_s - look_s) * NS_PER_S))
+        agreement.rate(reading, 10.0)
+        told = agreement.compare(reading, 10.0)
+        if told is not None:
+            break
+    assert told is not None
+    figures = re.search(
+        r"it saw (\S+) mm while the motor travelled about (\S+) mm, allowed is a difference of (\S+) mm", told
+    )
+    assert figures, told
+    saw_mm, travelled_mm, allowed_mm = map(float, figures.groups())
+    assert abs(saw_mm - travelled_mm) > allowed_mm - 0.001
+    if told.startswith("jumped by"):
+        assert float(told.split()[2]) == pytest.approx(saw_mm - travelled_mm, abs=0.0011)
+
+
+@pytest.mark.parametrize(("silent", "held_up_s"), [(False, 0.7), (False, 1.5), (True, 0.0), (True, 0.7)])
+def test_readings_that_are_handed_on_late_to_a_process_held_up_are_no_silence(silent: bool, held_up_s: float) -> None:
+    """The first poll after the delay finds nothing yet; an instrument that sends no more is lost within the limit of watching."""
+    machine = ToyMachine()
+
+    class HandedOnLate(ToyInstrument):
+        empty = False
+
+        def poll(self) -> Sequence[Reading]:
+            if self.empty:
+                self.empty = False
+                return ()
+            return super().poll()
+
+    instrument = HandedOnLate(machine)
+    lost = pytest.raises(MeasurementLostError, match=r"no reading for 0\.[5-7]\d s") if silent else nullcontext()
+    with lost, AxisSession(ToyDrive(machine), instrument, MEASUREMENT) as session:
+        session.prepare()
+        session.watch(0.5)
+        began_s = machine.now_s
+        if silent:
+            machine.trouble = Trouble(silent_at_s=began_s)
+        machine.clock.sleep_s(held_up_s)
+        instrument.empty = True
+        try:
+            session.watch(1.0)
+        finally:
+            assert machine.now_s - began_s < 1.1 + held_up_s
 
 
 def test_nor_is_a_step_on_the_way_from_one_rest_to_the_next() -> None:
