@@ -31,10 +31,6 @@ from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 from drivers.shared_time import SharedTime
 from drivers.toml_types import Number, Positive
 from drivers.touch_probe import TouchProbe
-from drivers.undo import undo_all
-
-_LONGEST_LOOK_S = 0.1
-"""Longest time between two samples of a velocity run, s, that counts as the next sample's delay: a script may have slept."""
 
 
 class DriveState(Enum):
@@ -61,7 +57,6 @@ class Capability(Enum):
     """What a drive may or may not be able to do; checked before motion, so that a refusal comes before motion."""
 
     PROFILE_POSITION = "profile position"
-    PROFILE_VELOCITY = "profile velocity"
     HOMING = "homing"
     STREAMING = "cyclic synchronous position"
     TORQUE_ACTUAL = "torque actual value"
@@ -91,11 +86,6 @@ class DriveLimits:
         """Raise LimitError unless 0 < velocity <= max, mm/s."""
         if not 0 < velocity_mm_s <= self.max_velocity_mm_s:
             raise LimitError(f"velocity {velocity_mm_s:g} mm/s, allowed is 0 < v <= {self.max_velocity_mm_s:g} mm/s")
-
-    def can_stop_inside(self, position_load_mm: float, velocity_mm_s: float) -> bool:
-        """Whether an axis at this position (mm) and signed velocity (mm/s) can brake to rest within the travel."""
-        braking_mm = velocity_mm_s * abs(velocity_mm_s) / (2.0 * self.max_acceleration_mm_s2)
-        return self.travel_min_mm <= position_load_mm + braking_mm <= self.travel_max_mm
 
 
 @dataclass(frozen=True)
@@ -167,7 +157,6 @@ class ServoDrive(ABC):
     on_look: Callable[[DriveSample], None] | None = None
     before_homing: Callable[[], None] | None = None
     destination_load_mm: float | None = None
-    _watched_ns = 0  # time of the last sample of a velocity run
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
         self.name = name
@@ -357,25 +346,6 @@ class ServoDrive(ABC):
     @abstractmethod
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None: ...
 
-    def start_velocity(self, velocity_mm_s: float) -> None:
-        """Run at a signed velocity, mm/s, until the next order; 0 stops and stays enabled. `start_move` ends it as well.
-
-        There is no target, so the caller has to go on sampling: a sample that finds the braking distance at the end of the
-        travel quick-stops the axis and raises LimitError. Raises LimitError for a speed above the limit or a direction that leads
-        out of the travel, StateError unless enabled, CapabilityError.
-        """
-        self.require(Capability.PROFILE_VELOCITY)
-        if velocity_mm_s:
-            self.limits.check_velocity(abs(velocity_mm_s))
-        sample = self._require_enabled("run")
-        self._watched_ns = self.clock.now_ns()
-        if velocity_mm_s and not self.limits.can_stop_inside(sample.position_load_mm, velocity_mm_s):
-            raise self._leaves_travel("not started", sample.position_load_mm, velocity_mm_s)
-        self._start_velocity(velocity_mm_s)
-
-    def _start_velocity(self, velocity_mm_s: float) -> None:
-        raise CapabilityError(f"drive {self.name} cannot do: {Capability.PROFILE_VELOCITY.value}")
-
     def stream(self, settings: SetPointSettings) -> SetPointStream:
         """Set-points at a fixed period: a context manager around the enabled axis. Raises CapabilityError.
 
@@ -397,27 +367,6 @@ class ServoDrive(ABC):
     def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> SetPointGroup:
         del others, settings
         raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value} of several axes")
-
-    def _watch_travel(self, position_load_mm: float, velocity_mm_s: float | None) -> None:
-        """For a backend whose sample finds a velocity run in progress: stop it while it can still stop within the travel.
-
-        The next sample may come as late as this one did, so the axis has to be able to stop from where it will be then.
-        """
-        now_ns, before_ns = self.clock.now_ns(), self._watched_ns
-        self._watched_ns = now_ns
-        if not velocity_mm_s:
-            return
-        ahead_mm = velocity_mm_s * min((now_ns - before_ns) / NS_PER_S, _LONGEST_LOOK_S)
-        if not self.limits.can_stop_inside(position_load_mm + ahead_mm, velocity_mm_s):
-            error = self._leaves_travel("stopped", position_load_mm, velocity_mm_s)
-            undo_all([("not seen to stop", self.quick_stop)], during=error)
-            raise error
-
-    def _leaves_travel(self, what: str, position_load_mm: float, velocity_mm_s: float) -> LimitError:
-        return LimitError(
-            f"drive {self.name}: velocity run {what} at {position_load_mm:.3f} mm with {velocity_mm_s:.3f} mm/s,"
-            f" travel is {self.limits.travel_min_mm:g} to {self.limits.travel_max_mm:g} mm"
-        )
 
     def _require_enabled(self, verb: str) -> DriveSample:
         sample = self.sample()

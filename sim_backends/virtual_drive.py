@@ -68,7 +68,6 @@ class VirtualDrive(ServoDrive):
                 f"drive {name}: gear ratio is {scaling.motor_revs_per_shaft_rev}, the virtual drive expects 1 (direct)"
             )
         self._open = False
-        self._running = False  # a velocity run is in progress
         self._counts_per_mm = scaling.direction * scaling.counts_per_load_mm
         self.probe = ProbeLatch(servo)
         self.wires = Wires()
@@ -99,10 +98,6 @@ class VirtualDrive(ServoDrive):
     def sample(self) -> DriveSample:
         self._require_open()
         servo, counts_per_mm = self._servo, self._counts_per_mm
-        if self._running and self._state() is DriveState.ENABLED:
-            self._watch_travel(
-                servo.position_demand_counts / counts_per_mm, servo.velocity_actual_counts_s / counts_per_mm
-            )
         return DriveSample(
             time_ns=self.clock.now_ns(),
             state=self._state(),
@@ -149,7 +144,6 @@ class VirtualDrive(ServoDrive):
         servo = self._servo
         if not servo.powered:
             return
-        self._running = False
         try:
             if not servo.stopping:  # a quick stop in progress has the shorter ramp
                 servo.halt(self._counts_s2(self.settings.acceleration_mm_s2))
@@ -193,7 +187,6 @@ class VirtualDrive(ServoDrive):
 
     # -- motion ----------------------------------------------------------------------------------------------------
     def _start_homing(self) -> None:
-        self._running = False
         settings, scaling = self.settings, self.scaling
         self._servo.start_homing(
             settings.homing_method,
@@ -204,12 +197,6 @@ class VirtualDrive(ServoDrive):
         if self._servo.homing_error:
             self.send_stop()  # ends a motion in progress
             raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
-
-    def _start_velocity(self, velocity_mm_s: float) -> None:
-        self._running = True
-        self._servo.move_velocity(
-            velocity_mm_s * self._counts_per_mm, self._counts_s2(self.limits.max_acceleration_mm_s2)
-        )
 
     def _stream(self, settings: SetPointSettings) -> VirtualStream:
         return VirtualStream(self, self._servo, settings)
@@ -233,7 +220,6 @@ class VirtualDrive(ServoDrive):
         return self._table
 
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
-        self._running = False
         self._servo.move_absolute(
             self.scaling.motor_counts(position_load_mm),
             self.scaling.motor_counts_per_s(velocity_mm_s),

@@ -240,12 +240,8 @@ class CanOpenDrive(StoppableDrive):
         """From 6502h and from the objects that answered; known once open."""
         self._require_open()
         found = {Capability.PARAMETERS}
-        for mode, capability in (
-            (Mode.PROFILE_VELOCITY, Capability.PROFILE_VELOCITY),
-            (Mode.HOMING, Capability.HOMING),
-        ):
-            if self.motion.supports(mode):
-                found.add(capability)
+        if self.motion.supports(Mode.HOMING):
+            found.add(Capability.HOMING)
         if self.motion.supports(Mode.PROFILE_POSITION) or self.motion.streaming_mode is not None:
             found.add(Capability.PROFILE_POSITION)
         if self.motion.streaming_mode is not None and not self.connection.no_stream:
@@ -401,15 +397,6 @@ class CanOpenDrive(StoppableDrive):
                 velocity,
                 self.units.acceleration_units(self.limits.max_acceleration_mm_s2),
             )
-
-    def _start_velocity(self, velocity_mm_s: float) -> None:
-        self._require_units()
-        units = self.units.velocity_units(velocity_mm_s) if velocity_mm_s else 0
-        self.motion.check_velocity(units)
-        self.homing.under_way = False
-        sign = self.scaling.direction * (1 if velocity_mm_s > 0 else -1)
-        with self._stopped_if_it_fails():
-            self.motion.run_at(sign * units, self.units.acceleration_units(self.limits.max_acceleration_mm_s2))
 
     def halt(self) -> None:
         """Stop with the ramp of 605Dh and hold; `resume` continues the interrupted order."""

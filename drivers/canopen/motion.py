@@ -1,4 +1,4 @@
-"""Profile motion in the drive's own units: set-point handshake, velocity, halt, mode changes that keep the axis held.
+"""Profile motion in the drive's own units: set-point handshake, halt, mode changes that keep the axis held.
 
 Holds the mode-specific bits of controlword and statusword, and their objects. Limits and millimetres are in `drive`.
 """
@@ -232,15 +232,10 @@ class ProfileMotion:
 
     @property
     def resting_mode(self) -> Mode:
-        """The mode in which an axis is enabled and held: profile position, else one by set-points, else profile velocity.
+        """The mode in which an axis is enabled and held: profile position, else one by set-points.
 
         Raises CapabilityError for a drive without any of them."""
-        for mode in (
-            Mode.PROFILE_POSITION,
-            Mode.CYCLIC_POSITION,
-            Mode.INTERPOLATED_POSITION,
-            Mode.PROFILE_VELOCITY,
-        ):
+        for mode in (Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION):
             if self.supports(mode):
                 return mode
         raise CapabilityError(
@@ -549,16 +544,7 @@ class ProfileMotion:
                 return False
             self._clock.sleep_until_ns(min(deadline.end_ns, self._clock.now_ns() + round(POLL_S * NS_PER_S)))
 
-    # -- profile velocity, halt --------------------------------------------------------------------------------------------
-    def run_at(self, velocity: int, acceleration: int) -> None:
-        """Profile velocity, signed, in the drive's units."""
-        self._set_ramps(acceleration)
-        self.set_mode(Mode.PROFILE_VELOCITY)
-        if self._power.controlword != RUN:
-            self._power.write(RUN)
-            self.halted = False
-        self.set(objects.TARGET_VELOCITY, velocity, always=True)
-
+    # -- halt --------------------------------------------------------------------------------------------
     def halt(self) -> None:
         """Set the halt bit: stop with the ramp of 605Dh and stay enabled; the order in progress is kept for `resume`."""
         self._power.write(RUN | Control.HALT)

@@ -107,8 +107,8 @@ class StoppableDrive(ServoDrive):
         """A fresh sample by SYNC. following_error_mm is demand − actual, as in 60F4h, mm.
 
         Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
-        DriveFaultError once when a homing that was started failed, LimitError (with a quick stop) when a velocity run comes to the
-        end of the travel, and (with a halt) when the drive limits the target of the move in progress.
+        DriveFaultError once when a homing that was started failed, LimitError (with a halt) when the drive limits the target of the
+        move in progress.
         """
         self._require_open()
         self.sampler.refresh()
@@ -124,10 +124,7 @@ class StoppableDrive(ServoDrive):
         slow = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
         self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
         self.motion.look(status)
-        sample = self._as_sample()
-        if self.motion.mode is Mode.PROFILE_VELOCITY and state is DriveState.ENABLED:
-            self._watch_travel(sample.position_load_mm, sample.velocity_mm_s)
-        return sample
+        return self._as_sample()
 
     def _as_sample(self) -> DriveSample:
         """The values received last."""

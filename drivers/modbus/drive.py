@@ -73,7 +73,6 @@ class ModbusDrive(StoppableDrive):
         self._open = True
         try:
             self.homing.forget()
-            self.runs.forget()
             self.moves.under_way = None
             self.orders.forget()
             self.way_out.over()
@@ -134,8 +133,6 @@ class ModbusDrive(StoppableDrive):
         found = {Capability.PROFILE_POSITION, Capability.PARAMETERS}
         if self.map.homing is not None:
             found.add(Capability.HOMING)
-        if self.map.run is not None:
-            found.add(Capability.PROFILE_VELOCITY)
         if self.map.stream is not None:
             found.add(Capability.STREAMING)
         if self.map.probes:
@@ -252,7 +249,6 @@ class ModbusDrive(StoppableDrive):
             raise MotionTimeoutError(
                 f"drive {self.name}: standstill before enabling not within {self._braking_s():g} s"
             )
-        self.runs.end()
         self._needs.arrange()
         self.moves.set_mode()
         self.power.enable(self._target_here)
@@ -288,7 +284,6 @@ class ModbusDrive(StoppableDrive):
         self._require_proven("home", homing=True)
         self.moves.under_way = None
         with self._no_motion_after_errors():
-            self.runs.end()
             self.homing.begin(homing, self._disable)
 
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
@@ -296,20 +291,10 @@ class ModbusDrive(StoppableDrive):
         move = self.moves.planned(position_load_mm, velocity_mm_s, raw)  # refuses before anything is written
         with self._no_motion_after_errors():
             self.homing.leave(raw)
-            self.runs.end()
             self.moves.make_ready(raw)
             self.moves.begin(move)
 
-    # -- velocity runs and streams ---------------------------------------------------------------------------------------
-    def _start_velocity(self, velocity_mm_s: float) -> None:
-        order = self.runs.planned(velocity_mm_s)  # refuses before anything is written
-        raw = None if order.is_jog else self.access.read(self.map.sampled())
-        self.moves.under_way = None
-        with self._no_motion_after_errors():
-            if raw is not None:
-                self.homing.leave(raw)
-            self.runs.begin(order)
-
+    # -- streams ---------------------------------------------------------------------------------------------------
     def _stream(self, settings: SetPointSettings) -> ModbusStream:
         if self.map.stream is None:
             raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
@@ -325,7 +310,6 @@ class ModbusDrive(StoppableDrive):
         if stream is None:
             raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
         with self._no_motion_after_errors():
-            self.runs.end()
             self.homing.leave(self.access.read(self.map.sampled()))
             self._write_here(stream.target)
             self.orders.set_mode(stream.mode, stream.mode_shown, stream.timeout_s)

@@ -8,7 +8,7 @@
     [drive.quick_stop]     what to write, in any state; [drive.halt] to stop before switching off
     [drive.move]           hand-shake of a profile move      [drive.homing], with its method and home_position
     [drive.store]  [drive.scaling]
-    [drive.run]            where the drive runs at a velocity   [drive.stream]  where it follows set-points that come cyclically
+    [drive.stream]         where the drive follows set-points that come cyclically
     [[drive.needs]]        what must hold for the rest to be true: assigned inputs and outputs, modes, where writes are kept
     without_homing         why there is no [drive.homing], where the drive cannot be asked to home
     [drive.correction_table]  the table that the drive holds itself (`drivers.modbus.table_map`)
@@ -182,33 +182,6 @@ class HomingMap:
 
 
 @dataclass(frozen=True)
-class RunMap:
-    """Profile velocity: the (signed) target is followed once the mode is shown, after `start` where that is needed.
-
-    A drive that jogs has forward and backward instead, orders that say the direction of an unsigned target; `stop` ends them. Where
-    they have to come again within keep_alive_s, each sample sends them: without samples the drive stops by itself. Raises SchemaError.
-    """
-
-    target: Annotated[str, role(VELOCITY_UNITS, written=True)]
-    acceleration: Acceleration | None = None
-    deceleration: Acceleration | None = None
-    mode: Writes = ()
-    mode_shown: Conditions = ()
-    start: Writes = ()
-    timeout_s: Positive = 0.5
-    forward: Writes = ()
-    backward: Writes = ()
-    stop: Writes = ()
-    keep_alive_s: Positive | None = None
-
-    def __post_init__(self) -> None:
-        if bool(self.forward) is not bool(self.backward):
-            raise SchemaError("", "lacks forward or backward, expected both or neither")
-        if self.forward and not self.stop and self.keep_alive_s is None:
-            raise SchemaError("", "lacks stop, and keep_alive_s without which forward and backward go on")
-
-
-@dataclass(frozen=True)
 class Need:
     """What must hold for the rest of the map to be true of a drive.
 
@@ -348,7 +321,6 @@ class DriveMap:
     following_error: Position | None = None
     fault_code: AnyNumber | None = None
     homing: HomingMap | None = None
-    run: RunMap | None = None
     stream: StreamMap | None = None
     probes: Annotated[tuple[ProbeMap, ...], Key("touch_probe")] = ()
     store: StoreMap | None = None
@@ -359,13 +331,6 @@ class DriveMap:
     without_homing: Text = ""
 
     def __post_init__(self) -> None:
-        if self.run is not None and not self.run.forward:
-            kind = self.registers[self.run.target].layout.type
-            if kind.is_integer and kind.bounds[0] == 0:
-                what = f"is {self.run.target!r} of type {kind.value}, which has no sign; a drive that jogs needs forward and backward"
-                raise SchemaError("run.target", what)
-        if self.run is not None and self.velocity is None:
-            raise SchemaError("run", "needs drive.velocity, which says when a run has to be stopped")
         if len({probe.number for probe in self.probes}) != len(self.probes):
             raise SchemaError("touch_probe", "has two probes of one number")
 
@@ -441,16 +406,13 @@ class DriveMap:
         targets = {self.move.target}
         if self.homing is not None:
             writes += [*self.homing.mode, *self.homing.start, *self.homing.release]
-        for cyclic in (self.run, self.stream):
-            if cyclic is not None:
-                writes += [*cyclic.mode, *cyclic.start]
-                targets.add(cyclic.target)
+        if self.stream is not None:
+            writes += [*self.stream.mode, *self.stream.start]
+            targets.add(self.stream.target)
         for probe in self.probes:
             writes += [*probe.off, *probe.on, *probe.continuous]
             for edge in probe.edges.values():
                 writes += edge.arm
-        if self.run is not None:
-            writes += [*self.run.forward, *self.run.backward, *self.run.stop]
         if self.store is not None:
             writes += self.store.writes
         if self.table is not None:  # changed as a whole, by itself

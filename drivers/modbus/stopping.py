@@ -5,10 +5,8 @@ A stop is posted before anything is read, however long the unit has been silent;
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 
 from drivers.clock import Clock
 from drivers.drive import FAULTS, DriveLimits, DriveSample, DriveState, ServoDrive
@@ -28,7 +26,6 @@ from drivers.modbus.orders import Orders
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
 from drivers.modbus.register_access import RegisterAccess
-from drivers.modbus.velocity_runs import VelocityRuns
 from drivers.modbus.way_out import POWER_OFF_S, WayOut
 from drivers.scaling import AxisScaling
 from drivers.shared_time import SharedTime
@@ -78,7 +75,6 @@ class StoppableDrive(ServoDrive):
         ours = Unit(name, drive_map, self.access, self.values, self.orders, clock, scaling)
         self.power = PowerStates(ours, way_out=self.way_out, sample=self.sample)
         self.moves = ProfileMoves(ours, limits)
-        self.runs = VelocityRuns(ours, self.moves)
         self.homing = Homing(ours, post_stop=self.send_stop)
 
     def _require_open(self) -> None:
@@ -94,26 +90,15 @@ class StoppableDrive(ServoDrive):
     def sample(self) -> DriveSample:
         """A fresh sample, all its registers read in as few requests as the wire allows.
 
-        following_error_mm is as the drive gives it, mm. Raises DriveFaultError once when a homing that was started failed, LimitError
-        (with a quick stop) when a velocity run comes to the end of the travel, ProtocolError (with a stop) for values that are frozen
-        while the axis was ordered to move.
+        following_error_mm is as the drive gives it, mm. Raises DriveFaultError once when a homing that was started failed,
+        ProtocolError (with a stop) for values that are frozen while the axis was ordered to move.
         """
         sample = self._look()
         self._judge_alive(sample)
-        self.runs.keep_alive()
-        if self.runs.running and sample.state is DriveState.ENABLED:
-            velocity_mm_s = sample.velocity_mm_s or 0.0
-            # it brakes from its demand position
-            lag_mm = math.copysign(sample.following_error_mm or 0.0, velocity_mm_s)
-            self._watch_travel(sample.position_load_mm + lag_mm, velocity_mm_s)
         return sample
 
     def _judge_alive(self, sample: DriveSample) -> None:
-        moving = (
-            self.homing.under_way
-            or self.runs.running
-            or (self.moves.under_way is not None and not sample.target_reached)
-        )
+        moving = self.homing.under_way or (self.moves.under_way is not None and not sample.target_reached)
         if not moving or sample.state is not DriveState.ENABLED:
             self._frozen.forget()
         elif self._frozen.look(sample.time_ns, sample.position_load_mm, sample.velocity_mm_s):
@@ -125,7 +110,7 @@ class StoppableDrive(ServoDrive):
             )
 
     def _look(self) -> DriveSample:
-        """A sample, without the supervision of a velocity run."""
+        """A sample, not judged."""
         self._require_open()
         asked_ns = self.clock.now_ns()
         raw = self.access.read(self.map.sampled())
@@ -168,11 +153,10 @@ class StoppableDrive(ServoDrive):
     def _disable(self) -> None:
         state = self.power.state()
         if state in FAULTS or not self.power.can_disable(state):
-            self.runs.end()
             return  # the power stage is off
         if state in (DriveState.ENABLED, DriveState.QUICK_STOP):
             self._come_to_rest(state)
-        undo_all([("", partial(self._power_off, state)), ("", self.runs.end)])
+        self._power_off(state)
         self.moves.under_way = None
 
     def _power_off(self, state: DriveState) -> None:

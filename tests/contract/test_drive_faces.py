@@ -133,59 +133,6 @@ def test_what_is_read_only_is_read_and_not_written(rig: Rig) -> None:
             parameters.write(fixed[0].name, 1)
 
 
-# -- velocity runs -----------------------------------------------------------------------------------------------------
-
-
-def test_it_runs_at_a_velocity_and_stops(rig: Rig) -> None:
-    with rig.drive as drive:
-        drive.enable()
-        if _says_no(rig, Capability.PROFILE_VELOCITY, lambda: drive.start_velocity(10.0)):
-            return
-        home(rig)
-        drive.start_move(50.0, 150.0)
-        arrive(rig)
-        for velocity_mm_s in (30.0, -20.0, 0.0):
-            drive.start_velocity(velocity_mm_s)
-            rig.run(0.5)
-            sample = drive.sample()
-            assert sample.state is DriveState.ENABLED
-            assert sample.velocity_mm_s == pytest.approx(velocity_mm_s, rel=0.01, abs=1e-9)
-        drive.start_velocity(-20.0)
-        rig.run(0.2)
-        drive.start_move(20.0, 100.0)  # ends the run
-        assert arrive(rig) == pytest.approx(20.0, abs=1e-3)
-        drive.start_velocity(10.0)
-        drive.disable()
-        place = drive.sample().position_load_mm
-        drive.enable()  # no speed of before comes to life
-        rig.run(0.3)
-        assert drive.sample().position_load_mm == pytest.approx(place, abs=1e-3)
-
-
-def test_a_run_is_kept_within_limits_and_travel(rig: Rig) -> None:
-    with rig.drive as drive:
-        if Capability.PROFILE_VELOCITY not in drive.capabilities:
-            return
-        with pytest.raises(StateError):
-            drive.start_velocity(10.0)
-        drive.enable()
-        home(rig)
-        for wrong in (200.1, math.nan, -math.inf):
-            with pytest.raises(LimitError):
-                drive.start_velocity(wrong)
-        with pytest.raises(LimitError, match="not started"):
-            drive.start_velocity(-120.0)  # 3.6 mm to stop, the travel ends at -3
-        drive.start_move(250.0, 200.0)
-        arrive(rig)
-        drive.start_velocity(150.0)
-        with pytest.raises(LimitError, match="velocity run stopped"):
-            drive.wait_for(lambda sample: sample.position_load_mm > 310.0, 10.0, "out of the travel")
-        rig.run(1.0)
-        sample = drive.sample()
-        assert sample.velocity_mm_s == 0.0
-        assert sample.position_load_mm < 302.0  # one look of 10 ms at 150 mm/s is 1.5 mm
-
-
 # -- set-points --------------------------------------------------------------------------------------------------------
 
 

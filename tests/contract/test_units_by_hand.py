@@ -137,20 +137,6 @@ def test_a_move(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
         assert rig.servo.motor_rev == pytest.approx(-5.0, abs=1e-3)  # 40 mm are 2 turns of the shaft, 5 of the motor
 
 
-def test_a_velocity_run(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    with rig.drive as drive:
-        if Capability.PROFILE_VELOCITY not in drive.capabilities:
-            pytest.skip("the drive has no velocity run")
-        drive.enable()
-        home(rig)
-        runs = _orders(rig, "move_velocity", monkeypatch)
-        drive.start_velocity(16.0)
-        rig.run(0.1)
-        velocity, acceleration = runs[LAST]
-        assert velocity == pytest.approx(-200_000, rel=ORDERED)  # 16 mm/s · 12 500 · −1
-        assert acceleration == pytest.approx(25_000_000, rel=ORDERED)  # 2000 mm/s² · 12 500
-
-
 def test_a_stream_of_positions(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     with rig.drive as drive:
         if Capability.STREAMING not in drive.capabilities:

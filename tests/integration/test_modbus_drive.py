@@ -19,7 +19,6 @@ from drivers.errors import (
     DriveFaultError,
     HeldUnderPowerError,
     InputError,
-    LimitError,
     LinkLostError,
     MotionTimeoutError,
     NoAnswerError,
@@ -351,28 +350,6 @@ def test_a_drive_that_starts_on_its_target_gets_it_last(tmp_path: Path) -> None:
 
 
 # -- homing ------------------------------------------------------------------------------------------------------------
-TARGET_VELOCITY = 0x210E
-
-
-def test_no_velocity_is_left_in_the_drive() -> None:
-    with rig(CIA402) as r:
-        assert isinstance(r.face, Cia402Registers)
-        r.face.dictionary.set_number(0x60FF, 0, 777_777)  # left there by whoever was here before
-        with r.drive as drive:
-            drive.enable()
-            r.server.seen.clear()
-            drive.start_velocity(20.0)
-            places = (b"\x21\x01", b"\x21\x0e")  # mode, target velocity
-            written = [pdu[1:3] for _, pdu in r.server.seen if pdu[0] in (6, 16) and pdu[1:3] in places]
-            assert written == [places[1], places[0], places[1]]
-            velocities = [int.from_bytes(pdu[6:], "big", signed=True) for pdu in writes_to(r.server, TARGET_VELOCITY)]
-            assert velocities == [0, 200_000]
-            r.clock.sleep_s(0.3)
-            drive.quick_stop()
-            r.clock.sleep_s(0.5)
-            drive.disable()
-            assert r.face.dictionary.number(0x60FF) == 0
-        assert (r.face.dictionary.number(0x60FF), r.face.dictionary.number(0x6061)) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -554,25 +531,6 @@ def test_a_stop_leaves_the_other_bits_of_its_register_alone(tmp_path: Path) -> N
         assert drive.sample().state is DriveState.QUICK_STOP
 
 
-def test_a_velocity_run_that_leaves_the_travel_is_told_also_when_its_stop_is_not_confirmed() -> None:
-    with rig(CIA402) as r, r.drive as drive:
-        drive.enable()
-        drive.start_velocity(200.0)
-
-        quick_stop = drive.quick_stop
-
-        def unconfirmed() -> None:
-            quick_stop()
-            raise NoAnswerError("no answer")
-
-        drive.quick_stop = unconfirmed  # type: ignore[method-assign]
-        with pytest.raises(LimitError) as caught:
-            drive.wait_for(lambda _sample: False, 5.0, "never")
-        assert caught.value.__notes__ == ["not seen to stop: no answer"]
-        r.clock.sleep_s(1.0)
-        assert drive.sample().position_load_mm <= LIMITS.travel_max_mm
-
-
 # -- coming to rest ------------------------------------------------------------------------------------------------------
 def unsteady(r: Rig, counts: int) -> None:
     """A drive whose velocity is never 0, and whose position jumps by so many counts."""
@@ -650,15 +608,13 @@ def test_an_axis_not_seen_at_rest_that_would_fall_is_held() -> None:
 
 
 def set_off(drive: ModbusDrive, how: str) -> None:
-    if how == "velocity":
-        drive.start_velocity(100.0)
-    elif how == "homing":
+    if how == "homing":
         drive.start_homing()
     else:
         drive.start_move(200.0, 100.0)
 
 
-@pytest.mark.parametrize("how", ["homing", "velocity", "move"])
+@pytest.mark.parametrize("how", ["homing", "move"])
 def test_disabling_brings_the_axis_to_rest_in_the_time_that_braking_needs(how: str) -> None:
     with rig(CIA402) as r, r.drive as drive:
         assert isinstance(r.face, Cia402Registers)

@@ -96,22 +96,6 @@ def test_nothing_but_the_switch_itself_is_written_while_writes_are_stored(name: 
     assert rig.maker.memory() == rig.maker.found
 
 
-def test_a_jog_lasts_while_it_is_sampled_and_ends_by_itself() -> None:
-    with family("leadshine_el7") as rig, rig.drive.proving(), rig.drive:
-        drive, servo = rig.drive, rig.maker.servo
-        drive.enable()
-        for velocity_mm_s in (10.0, -10.0):
-            drive.start_velocity(velocity_mm_s)
-            for _ in range(100):
-                rig.clock.sleep_s(0.01)
-                drive.sample()
-            assert servo.velocity_actual_counts_s == pytest.approx(velocity_mm_s * 1000, rel=0.01)
-            rig.clock.sleep_s(0.5)  # nobody samples
-            assert servo.velocity_actual_counts_s == 0
-            drive.start_velocity(0.0)
-        assert drive.sample().state is DriveState.ENABLED
-
-
 class Unmapped(Akd2g):
     mapped = False
 

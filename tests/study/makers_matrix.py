@@ -44,7 +44,7 @@ from sim_backends.servo import ServoParameters, SimulatedServo
 
 NODE = 5
 LEAD_MM = 10.0
-SPEED_MM_S, RUN_MM_S, HOMING_MM_S = 10.0, 7.0, 5.0
+SPEED_MM_S, HOMING_MM_S = 10.0, 5.0
 TOO_FAST, RIGHT = 1.05, 0.01
 SERVO_COUNTS = 8_000_000
 STATED = {TRINAMIC: "rpm", TECHNOSOFT: "1/65536 counts/ms"}
@@ -85,7 +85,7 @@ class Row:
 
 WORDS = {"0X6", "0X06", "0X0006", "6", "UNSIGNED16", "0X3", "0X03", "0X0003", "3"}
 """Data types of a controlword: UNSIGNED16, and INTEGER16 as two files have it."""
-COLUMNS = ("opens", "enables", "homes", "moves", "runs", "streams", "put back")
+COLUMNS = ("opens", "enables", "homes", "moves", "streams", "put back")
 
 
 def signature(maker: MakerFile) -> tuple[object, ...]:
@@ -221,7 +221,6 @@ class Trial:
             ("enables", self.enable),
             ("homes", self.home),
             ("moves", self.move),
-            ("runs", self.run_at),
             ("streams", self.stream),
         ]
 
@@ -316,28 +315,6 @@ class Trial:
             self.row.reasons.append(f"moves: true speed {100 * worst:.1f} % off")
             return "wrong speed"
         return f"yes, {100 * worst:.1f} %"
-
-    def run_at(self) -> str:
-        if Capability.PROFILE_VELOCITY not in self.drive.capabilities:
-            return "—"
-        self.watch.restart()
-        reach, speed = self.fits()
-        speed = min(RUN_MM_S, 0.7 * speed)
-        self.drive.start_velocity(speed)
-        for _ in range(round(100 * min(0.5 * reach / speed, 0.5 + speed / self.ramp_mm_s2))):
-            self.drive.sample()
-            self.clock.sleep_s(0.01)
-        seen = abs(self.watch.now_rev_s) * LEAD_MM
-        self.judge_speed(speed, self.watch.fastest_rev_s)
-        self.drive.start_velocity(0.0)
-        for _ in range(round(50 + 100 * speed / self.ramp_mm_s2)):
-            self.drive.sample()
-            self.clock.sleep_s(0.01)
-        if abs(seen / speed - 1) > RIGHT:
-            self.row.failed = self.row.moved = True
-            self.row.reasons.append(f"runs: {seen:.3f} mm/s instead of {speed:g}")
-            return "wrong speed"
-        return "yes"
 
     def stream(self) -> str:
         drive = self.drive

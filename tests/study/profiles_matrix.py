@@ -330,7 +330,7 @@ def judge(row: VerbRow, verb: str, status: int, error: str, out: str) -> None:
 
 
 # -- the table --------------------------------------------------------------------------------------------------------------
-DRIVE_COLUMNS = ("opens", "enables", "homes", "moves", "runs", "streams", "stops", "recovers", "put back")
+DRIVE_COLUMNS = ("opens", "enables", "homes", "moves", "streams", "stops", "recovers", "put back")
 GOOD_CELLS = ("yes", "not good", "refused")
 
 

@@ -154,7 +154,7 @@ def test_an_axis_not_seen_at_rest_is_disabled_unless_it_would_fall(axes: tuple[D
 def test_a_homing_that_the_drive_does_not_know_leaves_nothing_moving(axes: tuple[Drive, Drive]) -> None:
     x, _ = axes
     x.settings = replace(x.settings, homing_method=11)
-    x.start_velocity(50.0)
+    x.start_move(100.0, 50.0)
     x.clock.sleep_s(0.2)
     with pytest.raises(BridgeError, match="no homing method 11"):
         x.start_homing()

@@ -339,42 +339,6 @@ def test_halt_holds_and_resume_goes_on(make: MakeRig) -> None:
     assert arrived.position_load_mm == pytest.approx(100.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("velocity_mm_s", [80.0, -80.0])
-def test_a_velocity_run(make: MakeRig, velocity_mm_s: float) -> None:
-    rig = make()
-    drive = rig.enabled()
-    drive.start_velocity(velocity_mm_s)
-    rig.run(0.5)
-    assert drive.sample().velocity_mm_s == pytest.approx(velocity_mm_s, rel=0.01)
-    drive.start_velocity(0.0)
-    rig.run(0.5)
-    sample = drive.sample()
-    assert sample.velocity_mm_s == 0.0
-    assert sample.state is DriveState.ENABLED
-
-
-@pytest.mark.parametrize("direction", [1, -1])
-def test_a_velocity_run_stops_before_the_end_of_the_travel(make: MakeRig, direction: int) -> None:
-    rig = make()
-    drive = rig.enabled()
-    drive.start_velocity(direction * 150.0)
-    with pytest.raises(LimitError, match=r"velocity run stopped at -?1\d\d\.\d+ mm"):
-        drive.wait_for(lambda _: False, 10.0, "the end")
-    rig.run(1.0)
-    assert drive.sample().velocity_mm_s == 0.0
-    assert abs(drive.sample().position_load_mm) <= 200.5  # one look of 10 ms at 150 mm/s is 1.5 mm
-
-
-def test_a_velocity_run_out_of_the_travel_is_refused(make: MakeRig) -> None:
-    drive = make().enabled()
-    with pytest.raises(LimitError, match="velocity 201"):
-        drive.start_velocity(-201.0)
-    drive.start_move(199.95, 100.0)
-    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-    with pytest.raises(LimitError, match="velocity run not started"):
-        drive.start_velocity(50.0)
-
-
 # -- homing ---------------------------------------------------------------------------------------------------------------
 
 

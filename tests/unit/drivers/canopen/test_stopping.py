@@ -114,10 +114,6 @@ def _move(drive: CanOpenDrive) -> None:
     drive.start_move(280.0, 200.0)
 
 
-def _run(drive: CanOpenDrive) -> None:
-    drive.start_velocity(100.0)
-
-
 def _home(drive: CanOpenDrive) -> None:
     drive.settings = CanOpenSettings(homing=HomingSettings(method=18, speed_switch_mm_s=100.0))
     drive.start_homing()
@@ -128,9 +124,7 @@ def _halt(drive: CanOpenDrive) -> None:
     drive.halt()
 
 
-@pytest.mark.parametrize(
-    "order", [_move, _run, _home, _halt, lambda drive: None], ids=["move", "run", "home", "halt", "hold"]
-)
+@pytest.mark.parametrize("order", [_move, _home, _halt, lambda drive: None], ids=["move", "home", "halt", "hold"])
 @pytest.mark.parametrize(
     ("fixed", "frames"),
     [((), [STOP_RPDO, SDO]), ((FIXED_RPDO_2,), [STREAM_RPDO, SYNC, SDO])],
@@ -534,7 +528,6 @@ def test_an_axis_that_falls_is_disabled_once_it_was_seen_at_rest(make: MakeRig) 
     [
         (K.SETPOINT_NOT_TAKEN, lambda drive: drive.start_move(-100.0, 100.0), ProtocolError),
         (K.ACKNOWLEDGE_STUCK, lambda drive: drive.start_move(-100.0, 100.0), ProtocolError),
-        (K.MODE_STUCK, lambda drive: drive.start_velocity(50.0), ProtocolError),
         (K.MODE_STUCK, lambda drive: drive.set_mode(Mode.CYCLIC_POSITION), ProtocolError),
         (K.MODE_STUCK, lambda drive: drive.start_homing(), ProtocolError),
         (K.SDO_WRITE_ABORTED, lambda drive: drive.start_move(-100.0, 100.0), BridgeError),

@@ -180,21 +180,6 @@ def test_a_need_that_cannot_be_met_is_refused(line: str, words: str, tmp_path: P
         load_drive_map(tmp_path / "mine.toml")
 
 
-@pytest.mark.parametrize(
-    ("before", "after", "words"),
-    [
-        ('backward = [{ register = "control", value = 0x4002 }]\n', "", "lacks forward or backward"),
-        ("keep_alive_s = 0.05\n", "", "lacks stop, and keep_alive_s"),
-    ],
-)
-def test_a_jog_that_cannot_end_is_refused(before: str, after: str, words: str, tmp_path: Path) -> None:
-    text = find_map("leadshine_el7").read_text(encoding="utf-8")
-    assert before in text
-    (tmp_path / "mine.toml").write_text(text.replace(before, after), encoding="utf-8")
-    with pytest.raises(InputError, match=words):
-        load_drive_map(tmp_path / "mine.toml")
-
-
 def test_proofs_that_cannot_be_written_leave_the_old_ones(tmp_path: Path) -> None:
     """The operating system refuses bytes beyond a size, as a full disk does."""
     map_file, path = tmp_path / "map.toml", tmp_path / "facts.json"

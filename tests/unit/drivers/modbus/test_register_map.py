@@ -274,9 +274,6 @@ SIGNED = SMALL.replace('type = "u32"\nunit = "counts/s"', 'type = "i32"\nunit = 
 @pytest.mark.parametrize(
     ("text", "what"),
     [
-        (SMALL + '[drive.run]\ntarget = "speed"\n', "[drive] run.target is 'speed' of type u32, which has no sign"),
-        (SIGNED + '[drive.run]\ntarget = "speed"\n', "[drive] run needs drive.velocity"),
-        (SMALL + '[drive.run]\ntarget = "position"\n', "expected a unit of counts/s, rpm, rev/s"),
         (SMALL + '[drive.stream]\ntarget = "position"\n', "lacks least_period_s"),
         (SMALL + '[drive.stream]\ntarget = "kept"\nleast_period_s = 0.01\n', "motion would wear it out"),
         (SMALL + PROBE + PROBE, "has two probes of one number"),
