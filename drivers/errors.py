@@ -4,6 +4,7 @@
     ├── TransportError        the wire: no answer, or the port is gone
     │   ├── NoAnswerError         a request was not answered in time (it may or may not have been carried out)
     │   └── LinkLostError         the bus or port itself went away, or a heartbeat stopped
+    │       └── InstrumentLinkError   the instrument's port cannot be opened
     ├── RemoteError           the device answered with a refusal
     │   ├── AbortError            a parameter access was refused (SDO abort, Modbus exception)
     │   ├── DriveFaultError       the drive is in a fault state
@@ -44,6 +45,10 @@ class NoAnswerError(TransportError):
 
 class LinkLostError(TransportError):
     """The bus or port went away, or a heartbeat stopped."""
+
+
+class InstrumentLinkError(LinkLostError):
+    """The instrument's port cannot be opened; nothing is wrong with the drive."""
 
 
 class RemoteError(BridgeError):

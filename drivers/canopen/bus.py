@@ -8,20 +8,27 @@ repeatable. Sending takes none of this module's locks, so that a stop can be sen
 from __future__ import annotations
 
 import logging
-import os
 import select
-import socket
-import struct
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any, Self
 
 import can
 
+from drivers.canopen.adapters import (
+    READ_ERRORS,
+    SEND_S,
+    drop_undecoded,
+    is_damaged,
+    is_gone,
+    open_adapter,
+    place_of,
+)
 from drivers.canopen.sync import CLAIM_S, SYNC, YIELD_S, Sync
 from drivers.clock import IO_SLICE_S, NS_PER_S, Clock
 from drivers.errors import LinkLostError, StateError
 from drivers.listening import Listening
+from drivers.system_errors import told_with_remedy
 
 POLL_S = 0.05
 """Longest time that `poll` dispatches, s. A frame takes about 30 µs, so this empties a socket's default receive buffer (about 280
@@ -34,11 +41,11 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 _GONE = (can.CanError, OSError, ValueError)  # ValueError: python-can asks a closed socket for its number
 
-SEND_S = 0.25
-"""Longest time that an interface may delay a frame while its transmit buffer is full, s. A serial adapter whose other end (a
-process or a USB stack on a loaded host) does not read for a moment is not lost: delays above 10 ms were measured."""
 STOP_SEND_S = 0.01
-"""The same for the frame of a stop, s: half of the 20 ms allowed from a stop to its frame."""
+"""As `SEND_S`, for the frame of a stop, s: half of the 20 ms allowed from a stop to its frame."""
+MOST_FAILED = 50
+"""Number of reads that fail one after the other, with neither a frame nor silence between them, after which an adapter counts as gone:
+more than a burst of noise brings, and over within `POLL_S` where every read fails at once."""
 
 _SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
@@ -52,7 +59,12 @@ class CanLink:
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:
         self.bus = bus
         self.clock = clock
+        self.place = place_of(bus)  # in errors
+        self._channel: str | int = self.place
         self.error_frames = 0
+        self.takes_frames = True  # the last one that was sent
+        self.damaged = 0  # pieces of the adapter that were no frame, and left out
+        self._failed = 0  # reads that failed since the last frame or silence
         self.frames_received = 0
         self._handlers: dict[int, tuple[FrameHandler, ...]] = {}
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
@@ -83,15 +95,10 @@ class CanLink:
             settings["bitrate"] = bitrate
 
         def open_bus() -> can.BusABC:
-            try:
-                bus = can.Bus(channel=channel, interface=interface, **settings)  # type: ignore[arg-type]
-            except _GONE as error:
-                raise LinkLostError(f"CAN {interface} {channel} cannot be opened: {error}") from error
-            bound_sending(bus)
-            return bus
+            return open_adapter(interface, channel, settings)
 
         link = cls(open_bus(), clock)
-        link._open_bus = open_bus
+        link._open_bus, link._channel, link.place = open_bus, channel, f"{interface} {channel}"
         return link
 
     def reopen(self) -> None:
@@ -159,10 +166,12 @@ class CanLink:
 
         For any thread. Raises LinkLostError when the bus does not take it within `timeout_s` seconds.
         """
+        self.takes_frames = False
         try:
             self.bus.send(message, timeout_s)
         except _GONE as error:
-            raise LinkLostError(f"CAN frame {message.arbitration_id:03X}h cannot be sent: {error}") from error
+            raise self._lost(f"frame {message.arbitration_id:03X}h cannot be sent", error) from error
+        self.takes_frames = True
 
     def produce_heartbeat(self, node_id: int, period_s: float) -> None:
         """Send our own heartbeat (operational) every `period_s` seconds until the link is closed; drives that consume it stop when
@@ -180,7 +189,7 @@ class CanLink:
         try:
             self.bus.send(message)
         except _GONE as error:
-            raise LinkLostError(f"heartbeat cannot be sent: {error}") from error
+            raise self._lost("heartbeat cannot be sent", error) from error
         self._heartbeats[node_id] = (period_s, self.send_periodically(message, period_s))
 
     def request_periodically(self, cob_id: int, period_s: float) -> Any:
@@ -199,9 +208,7 @@ class CanLink:
         try:
             task: Any = self.bus.send_periodic(message, period_s)
         except _GONE as error:
-            raise LinkLostError(
-                f"CAN frame {message.arbitration_id:03X}h cannot be sent periodically: {error}"
-            ) from error
+            raise self._lost(f"frame {message.arbitration_id:03X}h cannot be sent periodically", error) from error
         if isinstance(task, can.broadcastmanager.ThreadBasedCyclicSendTask):
             task.on_error = lambda _error: False
         return task
@@ -276,15 +283,21 @@ class CanLink:
             return False
 
     def _receive(self, timeout_s: float) -> bool:
-        """Take and dispatch one frame; False when none came in time. Raises LinkLostError."""
+        """Take and dispatch one frame; False when none came in time. A piece that is no frame is counted and left out. Raises
+        LinkLostError."""
         try:
             message = self.bus.recv(timeout_s)
-        except _GONE as error:
-            raise LinkLostError(f"CAN bus {self.bus.channel_info} is gone: {error}") from error
+        except READ_ERRORS as error:
+            self._leave_out(error)
+            return True
+        self._failed = 0
         if message is None:
             return False
-        if message.is_error_frame or message.is_remote_frame or message.is_extended_id:
+        if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             self.error_frames += message.is_error_frame
+            return True
+        if is_damaged(message):
+            self.damaged += 1
             return True
         self.frames_received += 1
         now_ns, cob_id, data = self.clock.now_ns(), message.arbitration_id, bytes(message.data)
@@ -294,22 +307,18 @@ class CanLink:
             handler(now_ns, data)
         return True
 
+    def _leave_out(self, error: Exception) -> None:
+        """Count a failed read. Raises LinkLostError where it shows that the adapter is gone."""
+        self._failed += 1
+        if self._closed or is_gone(error):
+            raise self._lost("is gone", error) from error
+        if self._failed >= MOST_FAILED:
+            raise self._lost(f"is gone: {self._failed} reads in a row failed", error) from error
+        self.damaged += 1
+        try:
+            drop_undecoded(self.bus)
+        except READ_ERRORS as second:
+            raise self._lost("is gone", second) from second
 
-def bound_sending(bus: can.BusABC) -> None:
-    """Bound the time that `send` may block on a bus behind a TCP connection (socketcand), which ignores its time-out: the socket gets
-    one of `SEND_S`, so that sending fails when the server no longer reads. Other interfaces keep the time-out themselves, or never
-    wait.
-    """
-    try:
-        number = os.dup(bus.fileno())
-    except (OSError, NotImplementedError, ValueError):
-        return  # no descriptor that the operating system could time
-    try:
-        own = socket.socket(fileno=number)
-    except OSError:  # a serial port
-        os.close(number)
-        return
-    with own:
-        if own.family in (socket.AF_INET, socket.AF_INET6) and own.type == socket.SOCK_STREAM:
-            limit = struct.pack("@ll", 0, round(SEND_S * 1e6))
-            own.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, limit)
+    def _lost(self, what: str, error: Exception) -> LinkLostError:
+        return LinkLostError(f"CAN {self.place}: {what}: {told_with_remedy(error, self._channel)}")

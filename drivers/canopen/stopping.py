@@ -231,10 +231,9 @@ class StoppableDrive(ServoDrive):
             self.send_stop()
         try:
             return self._comes_to_rest(self.settings.power.stop_s)
-        except LinkLostError:
-            return False
-        except BridgeError:  # no answer: it gets the time that braking needs, before its power is taken
-            if not self._braking_awaited:
+        except BridgeError as error:  # no answer: it gets the time that braking needs, before its power is taken
+            reached = self.link.takes_frames or not isinstance(error, LinkLostError)
+            if reached and not self._braking_awaited:
                 self.clock.sleep_s(self._braking_s)
                 self._braking_awaited = True
             return False

@@ -11,6 +11,7 @@ import sys
 import serial
 
 from drivers.errors import LinkLostError
+from drivers.system_errors import told_with_remedy
 
 MAX_READ_BYTES = 65536  # per call, so that a babbling device cannot hold the caller
 
@@ -45,7 +46,7 @@ class SerialLink:
                 self.port, self._baudrate, *self._framing, timeout=0, write_timeout=1.0, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
-            raise LinkLostError(f"port {self.port} cannot be opened: {error}") from error
+            raise LinkLostError(f"port {self.port} cannot be opened: {told_with_remedy(error, self.port)}") from error
 
     def close(self) -> None:
         port, self._serial = self._serial, None

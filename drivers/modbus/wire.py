@@ -30,6 +30,7 @@ from drivers.errors import AbortError, CapabilityError, InputError, LinkLostErro
 from drivers.listening import Listening
 from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, Span, Table, WireCost
 from drivers.modbus.ports import Check, Port, SerialPort, TcpPort
+from drivers.system_errors import told_with_remedy
 
 
 class Function(IntEnum):
@@ -301,7 +302,9 @@ class PymodbusWire:
         try:
             self._port.open(within_s)
         except OSError as error:
-            raise LinkLostError(f"Modbus {self.endpoint} cannot be opened: {error}") from error
+            raise LinkLostError(
+                f"Modbus {self.endpoint} cannot be opened: {told_with_remedy(error, str(self.endpoint))}"
+            ) from error
 
     def disconnect(self) -> None:
         self._port.close()

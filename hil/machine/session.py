@@ -17,7 +17,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.drive import Capability, DriveSample, ServoDrive
-from drivers.errors import InputError, StateError
+from drivers.errors import InputError, InstrumentLinkError, LinkLostError, StateError
 from drivers.instrument import DistanceInstrument, Reading
 from drivers.set_points import FirstOfGroup, SetPointSettings, SetPointStream
 from drivers.undo import undo_all
@@ -112,7 +112,7 @@ class AxisSession:
     def __enter__(self) -> Self:
         self.drive.open()
         try:
-            self.instrument.open()
+            self._open_instrument()
             self.supervisor.begin()
         except BaseException as error:
             undo_all((("", self.instrument.close), ("", self.drive.close)), during=error)
@@ -122,6 +122,14 @@ class AxisSession:
         self._homed_here = self._keeps_home = False
         self.drive.corrected_outside = self.compensation is not None
         return self
+
+    def _open_instrument(self) -> None:
+        try:
+            self.instrument.open()
+        except LinkLostError as error:
+            raise InstrumentLinkError(
+                f"instrument {self.instrument.name} ([instrument] of the axis file): {error}"
+            ) from error
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None

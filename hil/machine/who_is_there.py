@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from drivers.canopen import scan as canopen
 from drivers.canopen.bus import CanLink
 from drivers.clock import Clock, WallClock
-from drivers.errors import BridgeError, InputError, TransportError
+from drivers.errors import BridgeError, InputError, InstrumentLinkError, TransportError
 from drivers.modbus import scan as modbus
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
@@ -66,6 +66,8 @@ def naming_who_is_there(axis: DriveAxis) -> Iterator[None]:
     """Around connecting: the error of a drive that does not answer says where it was looked for, and who answers instead."""
     try:
         yield
+    except InstrumentLinkError:
+        raise
     except TransportError as error:
         there = who_is_there(axis)
         raise type(error)(f"{error}; {there}" if there else str(error)) from error

@@ -133,3 +133,13 @@ def test_what_cannot_be_probed_is_refused(
 def test_an_axis_without_registers_cannot_be_probed(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", str(bench_axis.lay_out(tmp_path)), "--probe-order", "x=1"]) == 2
     assert "is not on Modbus" in capfd.readouterr().err
+
+
+def test_an_instrument_port_that_cannot_be_opened_names_the_instrument_and_not_the_drive(
+    server: tuple[ModbusServer, int], tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["doctor", str(axis_on(server[1], tmp_path))]) == 1
+    said = capfd.readouterr().err
+    assert "instrument umd ([instrument] of the axis file): port /nowhere cannot be opened" in said
+    assert "is the adapter plugged in" in said
+    assert "looked for" not in said

@@ -15,13 +15,8 @@ from itertools import pairwise
 import can
 import pytest
 
-from drivers.canopen.bus import (
-    POLL_S,
-    SEND_S,
-    STOP_SEND_S,
-    CanLink,
-    bound_sending,
-)
+from drivers.canopen.adapters import SEND_S, bound_sending
+from drivers.canopen.bus import POLL_S, STOP_SEND_S, CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.sync import SYNC_SILENCE_S, SYNC_STEP_S, Sync
 from drivers.clock import IO_SLICE_S, WallClock
@@ -300,7 +295,7 @@ def test_back_after_the_bus_was_lost(channel: str) -> None:
 
 HEARTBEAT_OF_A_DEAD_BUS = """
 import time, can
-from drivers.canopen.bus import POLL_S, SEND_S, CanLink, bound_sending
+from drivers.canopen.bus import CanLink
 from drivers.clock import IO_SLICE_S, WallClock
 
 class Dying(can.BusABC):

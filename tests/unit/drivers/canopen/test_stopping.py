@@ -107,6 +107,63 @@ def make() -> Iterator[MakeRig]:
         yield build
 
 
+# -- a wire that is read with errors ---------------------------------------------------------------------------------------
+def undecodable() -> Exception:
+    """As python-can's slcan raises it for a byte above 127."""
+    error = can.CanOperationError("Could not read from serial device")
+    error.__cause__ = UnicodeDecodeError("utf-8", b"\xff", 0, 1, "invalid start byte")
+    return error
+
+
+def damaging(rig: Rig, errors: Iterator[Exception]) -> None:
+    """The next frames are damaged, each by one of these errors."""
+    plain = rig.link.bus.recv
+
+    def recv(timeout: float | None = None) -> can.Message | None:
+        message = plain(timeout)
+        if message is not None and (error := next(errors, None)) is not None:
+            raise error
+        return message
+
+    rig.link.bus.recv = recv  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize("error", [ValueError("non-hexadecimal"), IndexError("out of range"), undecodable()])
+def test_a_damaged_frame_costs_a_request_that_is_repeated_and_never_the_move(make: MakeRig, error: Exception) -> None:
+    rig = make()
+    drive = rig.moving()
+    damaging(rig, iter([error]))
+    arrived = False
+    while not arrived:
+        rig.clock.sleep_s(0.01)
+        arrived = drive.sample().target_reached
+    assert (rig.link.damaged, round(rig.place_mm, 3)) == (1, 280.0)
+    drive.close()
+
+
+@pytest.mark.parametrize("error", [ValueError("non-hexadecimal"), undecodable(), can.CanOperationError("removed")])
+def test_where_reading_fails_for_good_the_axis_is_stopped_and_disabled_by_what_can_be_sent(
+    make: MakeRig, error: Exception
+) -> None:
+    """The quick stop has its ramp before the power goes, as where a drive does not answer."""
+    rig = make()
+    drive = rig.moving()
+
+    def recv(timeout: float | None = None) -> can.Message | None:
+        raise error
+
+    rig.link.bus.recv = recv  # type: ignore[method-assign]
+    with pytest.raises(LinkLostError, match=r"is gone: \d+ reads in a row failed"):
+        drive.sample()
+    with suppress(BridgeError):
+        drive.disable()
+    rig.clock.sleep_s(0.05)
+    rig.assert_without_power_at_rest()
+    sent = [(time_ns, text) for time_ns, text in rig.frames if time_ns >= FAULT_AT_S * 1e9 and text[:3] == "305"]
+    assert [text for _, text in sent][:2] == [STOP_RPDO, "305#0000"]
+    assert sent[1][0] - sent[0][0] >= 0.1e9  # 200 mm/s by 2000 mm/s²
+
+
 # -- what leaves, and when ------------------------------------------------------------------------------------------------
 
 
