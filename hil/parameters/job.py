@@ -1,4 +1,4 @@
-"""Jobs on parameter sets: backup, compare, download, store, restore, resume and rollback.
+"""Jobs on parameter sets: list, backup, compare, download, store, restore, resume and rollback.
 
 Functions of several axes are for the command line; the jobs are for the screen and one axis; `set_files` and `keep_set` are the files
 that the screen offers. No drive is opened for motion, so each function connects by itself.
@@ -26,6 +26,7 @@ from hil.parameters.compare import Comparison, compare
 from hil.parameters.download import Target, download
 from hil.parameters.formats import FORMATS, read_any, write_any
 from hil.parameters.journal import Download, Journal
+from hil.parameters.listing import Listing, listing_of
 from hil.parameters.outcome import BackedUp, keep_outcome
 from hil.parameters.recover import Unfinished, recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport
@@ -36,6 +37,7 @@ from hil.parameters.tasks import Progress, no_progress
 from hil.parameters.wiring import connected_parameters, journal_of
 from hil.records.files import naming
 
+READ = "parameters read"
 BACKUP, COMPARE, VERIFY = "parameters backup", "parameters compare", "parameters verify"
 DOWNLOAD, STORE, RESTORE = "parameters download", "parameters store", "parameters restore"
 RESUME, ROLLBACK = "parameters resume", "parameters rollback"
@@ -191,6 +193,21 @@ def backed_up_at(axis: DriveAxis, path: Path) -> datetime | None:
         return datetime.strptime(path.name.removeprefix(start).removesuffix(_BACKUP), _STAMP).astimezone()
     except ValueError:
         return None
+
+
+def read_job(axis: DriveAxis) -> Job:
+    """Job that returns the Listing of everything that the drive shows; it writes nothing. Its work raises StateError on failure."""
+
+    def work(place: Workplace) -> Listing:
+        with connected_parameters([axis], place.waiting) as drives:
+            (backup,) = back_up(drives, everything=True, progress=_progress_events(place))
+        if backup.contents is None:
+            raise StateError(backup.error)
+        for note in backup.notes:
+            place.tell(note)
+        return listing_of(backup)
+
+    return Job(READ, Plan(axis.name, axis.drive.backend), work, connects=True)
 
 
 def compare_job(axis: DriveAxis, contents: ParameterSet, kind: str = COMPARE) -> Job:

@@ -1,4 +1,4 @@
-"""The screen's page on parameter sets: backup, compare, verify, download, store, restore, resume and rollback."""
+"""The screen's page on parameters: list, change, backup, compare, verify, download, store, restore, resume and rollback."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ from nicegui import events, ui
 
 from drivers.errors import InputError
 from hil.app.jobs.job import Job
-from hil.app.panel.pieces import Reading, Table, show_share
+from hil.app.panel.pieces import Reading, Table, Tabs, show_share
 from hil.app.panel.view import View
 from hil.axis.axis_file import DriveAxis
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
 from hil.parameters.job import LARGEST_BYTES, backed_up_at, keep_set, require_size, set_files
 from hil.parameters.journal import Download
+from hil.parameters.listing import titled
 from hil.parameters.outcome import BackedUp, Outcome, ParameterRow, kept_outcome
 from hil.parameters.page_data import ParametersScreen, parameters_screen
+from hil.parameters.pages.all_parameters import AllParameters
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.wiring import journal_of
 
@@ -60,12 +62,12 @@ def draw(view: View) -> None:
                 choice = _draw_choice(view, stored)
             parts.append(_draw_buttons(view, choice, stored))
         with ui.element("div").classes("hil-main"):
-            parts.append(_draw_differences(view, stored))
+            parts.append(_draw_tables(view, stored))
             view.how("parameters.instructions", "parameters.steps")
 
     def refresh() -> None:
         shown = _shown(view, stored)
-        messages.show(shown.job, "\n".join(map(view.t.said, shown.warnings)))
+        messages.show(shown.latest, "\n".join(map(view.t.said, shown.warnings)))
         for part in parts:
             part()
 
@@ -163,7 +165,7 @@ def _draw_buttons(view: View, choice: ui.select, stored: Reading[Stored]) -> Ref
     def chosen() -> ParameterSet:
         return parameters.load_set(str(choice.value), axis)
 
-    def with_set(make: Callable[[ParameterSet], Job]) -> Callable[[], Awaitable[None]]:
+    def with_set(make: Callable[[ParameterSet], Job]) -> Callable[[], Awaitable[bool]]:
         return lambda: _ask_with_changes(view, chosen(), make)
 
     def looking(kind: str) -> Callable[[], None]:
@@ -195,19 +197,23 @@ def _draw_buttons(view: View, choice: ui.select, stored: Reading[Stored]) -> Ref
     return refresh
 
 
-async def _ask_with_changes(view: View, contents: ParameterSet, make: Callable[[ParameterSet], Job]) -> None:
-    """Compare the drive with the set, and ask with what differs: parameter, old and new value, unit."""
+async def _ask_with_changes(view: View, contents: ParameterSet, make: Callable[[ParameterSet], Job]) -> bool:
+    """Compare the drive with the set, and ask with what differs: parameter, old and new value, unit; whether the job was started. A
+    set that the drive would refuse is refused here."""
     job = make(contents)
     compared = await view.finished(parameters.compare_job(view.desk.axis, contents))
     if compared is None or not isinstance(compared.result, Comparison):
-        return  # the error is shown on the page
+        return False  # the error is shown on the page
+    if compared.result.objections:
+        view.show_error(InputError(str(compared.result.objections[0])))
+        return False
     rows = parameters_screen(view.desk).rows
     changes = [
-        view.change(f"{row.address} {row.name}".strip(), row.held, row.wanted, row.unit) for row in rows[:MOST_CHANGES]
+        view.change(titled(row.address, row.name), row.held, row.wanted, row.unit) for row in rows[:MOST_CHANGES]
     ]
     if len(rows) > MOST_CHANGES:
         changes.append(view.t("parameters.more_changes", count=len(rows) - MOST_CHANGES))
-    await view.ask_and_run(job, changes=changes or [view.t("parameters.no_change")])
+    return await view.ask_and_run(job, changes=changes or [view.t("parameters.no_change")])
 
 
 async def _restore(view: View) -> None:
@@ -247,9 +253,35 @@ def _draw_progress(view: View) -> Refresh:
         view.named(bar, "parameters.progress")
 
     def refresh() -> None:
-        job = parameters_screen(view.desk).job
+        job = parameters_screen(view.desk).latest
         step.set_text(view.stage(job))
         show_share(bar, job)
+
+    return refresh
+
+
+def _draw_tables(view: View, stored: Reading[Stored]) -> Refresh:
+    """All parameters, and what the last job found or changed; what came last is turned to."""
+    axis, tabs = view.desk.axis, Tabs(view, "parameters", ("all", "differences"))
+
+    async def write(contents: ParameterSet) -> bool:
+        started = await _ask_with_changes(view, contents, lambda one: parameters.download_job(axis, one))
+        tabs.show("all")  # the comparison before the question turned away
+        return started
+
+    with tabs.panel("all"):
+        listed = AllParameters(view, write)
+    with tabs.panel("differences"):
+        differences = _draw_differences(view, stored)
+    turned = [parameters_screen(view.desk).latest]
+
+    def refresh() -> None:
+        listed.refresh()
+        differences()
+        job = parameters_screen(view.desk).latest
+        if job is not None and not job.running and (turned[0] is None or turned[0].number != job.number):
+            turned[:] = [job]
+            tabs.show("all" if job.kind == parameters.READ else "differences")
 
     return refresh
 

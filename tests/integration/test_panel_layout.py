@@ -74,11 +74,14 @@ ESSENTIAL = {
         "parameters.progress",
         "parameters.bring",
         "parameters.restore",
-        "parameters.differences",
+        "parameters.tab.all",
+        "parameters.tab.differences",
     ),
+    "parameters.all": ("parameters.search", "parameters.read", "parameters.all"),
+    "parameters.differences": ("parameters.differences",),
 }
 """What a job needs: its start, its progress, its verdict, and the plot that matters. In the window without scrolling."""
-TABS = {"diagnosis": ("campaign", "loop")}
+TABS = {"diagnosis": ("campaign", "loop"), "parameters": ("all", "differences")}
 WIDEST = "−888.888"
 
 

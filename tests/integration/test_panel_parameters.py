@@ -35,6 +35,7 @@ ELEMENTS = {
         for name in ("download", "store", "restore", "interrupted", "unfinished", "resume", "rollback")
     ),
     *(f"parameters.{name}" for name in ("outcome", "differing", "same", "step", "progress", "backed_up", "table")),
+    *(f"parameters.{name}" for name in ("read", "search", "all", "list.at", "edit.what", "edit.value", "change")),
     *("stop", "control.who", "header.state"),
 }
 
@@ -150,6 +151,29 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.waits(lambda: not person.finds("parameters.interrupted").is_displayed(), "nothing is left over")
         assert face.ram == [entry.raw for entry in OLD.entries]
     is_read_after_a_restart(person, axis)
+
+
+def test_a_parameter_is_searched_for_and_changed(person: Person, axis: Path, face: Face) -> None:
+    with panel.served(axis) as (address, _):
+        person.goes_to(f"{address}axis/X/parameters")
+        person.clicks("control.take")
+        person.becomes_builder(KEY)
+        person.clicks("parameters.read")
+        person.waits(lambda: "of 50 parameters" in person.reads("parameters.list.at"), "all are listed")
+        person.types("parameters.search", "P17")
+        person.waits(lambda: len(person.table("parameters.all")) == 1, "one is found")
+        cells = person.finds("parameters.all").find_elements("css selector", "tbody td")
+        next(one for one in cells if one.text == "p17").click()
+        person.waits(lambda: person.reads("parameters.edit.what").startswith("p17"), "it is chosen")
+        person.types("parameters.edit.value", "3")
+        person.clicks("parameters.change")
+        old = OLD.entries[17].raw
+        assert any(line.startswith(f"p17: {old} → 3") for line in person.agrees())
+        person.waits(lambda: [row[2] for row in person.table("parameters.all")] == ["3"], "it is read again")
+        assert [number for number in range(COUNT) if face.ram[number] != OLD.entries[number].raw] == [17]
+        person.clicks("parameters.restore")
+        assert any(line.startswith(f"p17: 3 → {old}") for line in person.agrees())
+        person.waits(lambda: face.ram[17] == old, "as before the last download")
 
 
 def is_read_after_a_restart(person: Person, axis: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -26,6 +26,7 @@ from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
 from hil.parameters.download import Target
 from hil.parameters.job import keep_set, set_files
+from hil.parameters.listing import ListedParameter, Listing, changed
 from hil.parameters.outcome import BackedUp, kept_outcome
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
@@ -114,6 +115,81 @@ def test_from_a_backup_to_stored_and_back(axis: DriveAxis, face: FortyFace) -> N
     assert (face.stores, face.flash) == (1, SIDES["new"])
     before = operator.runs(axis, parameters.restore_job(axis))  # the download, not the storing that changed nothing
     assert (report(before).ending, face.ram) == (Ending.WRITTEN, SIDES["old"])
+
+
+def listed(axis: DriveAxis) -> dict[str, ListedParameter]:
+    """The list as the screen's job reads it, by address."""
+    listing = Operator().runs(axis, parameters.read_job(axis))
+    assert isinstance(listing, Listing)
+    return {one.entry.address: one for one in listing.parameters}
+
+
+def test_the_list_names_all_that_the_drive_shows_and_what_may_be_changed(axis: DriveAxis, face: FortyFace) -> None:
+    found = listed(axis)
+    assert [found[f"p{number}"].value for number in range(COUNT)] == [str(raw) for raw in SIDES["old"]]
+    may = [address for address, one in found.items() if not one.refusal]
+    assert set(may) == {"speed", "ramp", *(f"p{number}" for number in range(COUNT))}
+    assert found["position"].refusal == "is read only"
+    assert found["go"].refusal.startswith("is a command")
+    unread = {address for address, one in found.items() if one.error and not one.refusal}
+    assert unread == {"speed", "ramp"}  # those that a backup does not hold
+    assert {found[address].value for address in unread} == {"–"}
+    assert [address for address, one in found.items() if one.has("P1 ")] == [
+        address for address in found if "p1" in address
+    ]
+    assert face.ram == SIDES["old"]
+
+
+@pytest.mark.parametrize("number", [0, 1, 2, 3])
+def test_a_typed_value_goes_to_the_drive_as_a_set_of_one_and_comes_back(
+    number: int, axis: DriveAxis, face: FortyFace
+) -> None:
+    """u16, i16, u32, i32. Nothing else is written; it can be taken back as any download."""
+    operator, address, old = Operator(), f"p{number}", SIDES["old"]
+    listing = operator.runs(axis, parameters.read_job(axis))
+    assert isinstance(listing, Listing)
+    one = next(each for each in listing.parameters if each.entry.address == address)
+    wanted = changed(listing, one, f" {SIDES['new'][number]} ")
+    assert (wanted.addresses, wanted.identity) == ((address,), listing.identity)
+    assert report(operator.runs(axis, parameters.download_job(axis, wanted))).ending is Ending.WRITTEN
+    assert face.ram == [*old[:number], SIDES["new"][number], *old[number + 1 :]]
+    assert report(operator.runs(axis, parameters.restore_job(axis))).ending is Ending.WRITTEN
+    assert face.ram == old
+
+
+@pytest.mark.parametrize(
+    ("address", "typed", "why"),
+    [
+        ("position", "1", "is read only"),
+        ("go", "1", "is a command"),
+        ("p0", "much", "is to be 'much', expected a whole number"),
+        ("p0", "1,5", "is to be '1,5', expected a whole number"),
+        ("p0", "0.5", "is to be '0.5', expected a whole number"),
+    ],
+)
+def test_what_is_no_value_or_no_parameter_is_refused_before_the_drive_is_asked(
+    address: str, typed: str, why: str, axis: DriveAxis
+) -> None:
+    listing = Operator().runs(axis, parameters.read_job(axis))
+    assert isinstance(listing, Listing)
+    one = next(each for each in listing.parameters if each.entry.address == address)
+    with pytest.raises(InputError, match=rf"^{address}.*{why}"):
+        changed(listing, one, typed)
+
+
+@pytest.mark.parametrize("typed", ["65536", "-1", "0x10000"])
+def test_a_value_beyond_its_type_is_an_objection_of_the_same_checks(
+    typed: str, axis: DriveAxis, face: FortyFace
+) -> None:
+    operator = Operator()
+    listing = operator.runs(axis, parameters.read_job(axis))
+    assert isinstance(listing, Listing)
+    contents = changed(listing, next(one for one in listing.parameters if one.entry.address == "p0"), typed)
+    found = operator.runs(axis, parameters.compare_job(axis, contents))
+    assert isinstance(found, Comparison)
+    assert [one.address for one in found.objections] == ["p0"]
+    assert report(operator.runs(axis, parameters.download_job(axis, contents))).ending is Ending.REFUSED
+    assert face.ram == SIDES["old"]
 
 
 def test_a_set_of_another_version_is_refused_and_the_outcome_is_kept(axis: DriveAxis, face: FortyFace) -> None:
@@ -219,6 +295,9 @@ def test_what_the_screen_says_of_each_outcome(axis: DriveAxis) -> None:
 
         def last(self, kind: str) -> Progress | None:
             return self.progress if kind == self.job.kind else None
+
+        def last_of(self, kinds: Iterable[str]) -> Progress | None:
+            return next(filter(None, map(self.last, kinds)), None)
 
     def shown(job: Job) -> tuple[str, int | None, int | None, int]:
         screen = parameters_screen(Last(job, Operator().runs(axis, job)))  # type: ignore[arg-type]

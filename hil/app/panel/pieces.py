@@ -265,7 +265,9 @@ class Latest:
 
 class Table:
     """A table. columns: keys of the headings; the first `words` columns are text, the others figures, unless `figures` names those.
-    tall: with its own scroll bar."""
+
+    tall: with its own scroll bar; on_row: called with the number of a row that is pressed
+    """
 
     def __init__(
         self,
@@ -276,6 +278,7 @@ class Table:
         words: int = 1,
         figures: Sequence[str] | None = None,
         tall: bool = False,
+        on_row: Callable[[int], None] | None = None,
     ) -> None:
         right = columns[words:] if figures is None else figures
         heads = [
@@ -287,7 +290,14 @@ class Table:
         self._table.props("flat dense wrap-cells hide-bottom :rows-per-page-options=[0]")
         if tall:
             self._table.props("virtual-scroll").classes("tall")
+        if on_row is not None:
+            self._table.classes("hil-choice")
+            self._table.on("rowClick", lambda event: on_row(int(event.args[1]["row"])), [[], ["row"], None])
         view.named(self._table, name)
+
+    def mark(self, number: int | None) -> None:
+        """Mark a row as chosen, None for none."""
+        self._table.selected = [] if number is None else [self._table.rows[number]]
 
     def show(self, rows: Sequence[Sequence[str]]) -> None:
         """Show these rows."""

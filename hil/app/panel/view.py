@@ -230,11 +230,18 @@ class View:
 
     async def finished(self, job: Job) -> Progress | None:
         """Run a job that asks nothing and wait for its end, without blocking the page. None where it was not started."""
-        if not await self.attempt(lambda: self.desk.run(self.token, job)):
-            return None
-        while (now := self.desk.last(job.kind)) is not None and now.running:
+        started = await self.attempt(lambda: self.desk.run(self.token, job))
+        return await self.ended(job.kind) if started else None
+
+    async def ended(self, kind: str) -> Progress | None:
+        """Wait for the end of the last job of a kind, and until its axis is connected again, without blocking the page."""
+        while (now := self.desk.last(kind)) is not None and (now.running or self._is_connecting):
             await asyncio.sleep(REFRESH_S / 4)
         return now
+
+    @property
+    def _is_connecting(self) -> bool:
+        return not self.desk.live.connected and not self.desk.live.trouble
 
     async def ask(self, lines: Iterable[str], go: str) -> bool:
         """A question. go: text of the button that does it; the other one, and Esc, leave everything as it is."""

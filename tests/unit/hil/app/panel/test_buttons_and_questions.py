@@ -29,8 +29,15 @@ from hil.calibration.job import UNCORRECTED, VERIFY
 from hil.diagnosis import page as diagnosis
 from hil.lost_motion import page as lost_motion
 from hil.machine.events import Event
+from hil.parameters import page as parameters
 
-FREE = {"overview.pause", "diagnosis.tab.campaign", "diagnosis.tab.loop"}
+FREE = {
+    "overview.pause",
+    "diagnosis.tab.campaign",
+    "diagnosis.tab.loop",
+    "parameters.tab.all",
+    "parameters.tab.differences",
+}
 FIXES = ".fix.control"
 """End of the names of buttons that take control."""
 """Buttons that anybody may press."""
@@ -254,6 +261,56 @@ def test_a_question_before_writing_names_parameter_old_and_new_value_and_unit(tm
             assert wanted in await asked(screen)
             assert screen.named("question.yes").text == Texts("en")("go.backlash_write") == "Write the value"
             assert screen.named("question.no").text == "Cancel"
+            for task in writing:
+                task.cancel()
+            await asyncio.gather(*writing, return_exceptions=True)
+
+        inside(work)
+
+
+@pytest.mark.parametrize(
+    ("searched", "typed", "answer"),
+    [
+        ("following window", "1234", "6065h:00 following error window: 20000 → 1234 counts"),
+        ("6066h", "0x64", "6066h:00 following error time out: 50 → 100 ms"),
+        ("window", "-1", "-1 does not fit U32"),
+        ("window", "far", "expected a whole number"),
+        ("serial", "", "1018h:04 serial number · 1 · is read only"),
+    ],
+)
+def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(
+    searched: str, typed: str, answer: str, tmp_path: Path, until: Until
+) -> None:
+    with Desk(load_drive_axis(backlash_axis.lay_out(tmp_path, "canopen")), pace=0.0) as connected:
+        until(lambda: connected.live.connected, "the axis is looked at")
+        token = connected.control.take("test")
+        connected.rights._role = Role.BUILDER
+        connected.run(token, parameters.parameters.read_job(connected.axis))
+        until(lambda: not connected.job().running, "it is read")  # type: ignore[union-attr]
+        until(lambda: connected.live.connected, "the axis is looked at again")
+
+        async def work() -> None:
+            screen = Screen(connected, parameters.draw, token=token)
+            refresh = screen.quick_timers()
+            refresh()
+            screen.named("parameters.search").set_value(searched)
+            assert len(screen.named("parameters.all").rows) < 5
+            for listener in screen.named("parameters.search")._event_listeners.values():
+                if listener.type == "keydown.enter":
+                    listener.handler()  # the first that was found
+            refresh()
+            if not typed:
+                assert answer in screen.named("parameters.edit.what").text
+                assert not screen.named("parameters.change").visible
+                return
+            screen.named("parameters.edit.value").set_value(typed)
+            writing = screen.begins("parameters.change")
+            async with asyncio.timeout(60.0):
+                while not any(one.value for one in screen.all(ui.dialog)) and not screen.told():
+                    await asyncio.sleep(0.01)
+            lines = [one.text for one in screen.all(ui.label) if one.props.get("data-name") == "question.line"]
+            assert any(answer in line for line in (*lines, *screen.told())), (lines, screen.told())
+            assert bool(lines) is ("→" in answer)
             for task in writing:
                 task.cancel()
             await asyncio.gather(*writing, return_exceptions=True)

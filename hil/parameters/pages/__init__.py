@@ -1,0 +1,1 @@
+"""Parts of the screen's page on parameters."""
