@@ -30,6 +30,7 @@ from drivers.errors import InputError
 from drivers.files import read_text
 
 Key = tuple[int, int]
+WRITABLE = ("rw", "rww", "rwr", "wo")
 MOST_BYTES = 1 << 24
 """Longest file: a hundred times the largest of a maker that is known here."""
 MOST_DIGITS = 64
@@ -56,7 +57,7 @@ class EdsEntry:
 
     @property
     def writable(self) -> bool:
-        return self.access in ("rw", "rww", "rwr", "wo")
+        return self.access in WRITABLE
 
 
 @dataclass(frozen=True)
@@ -178,9 +179,13 @@ class _Reader:
                 f"[{name}]", "limits hold nothing, left out", "LowLimit and HighLimit", f"{low:g} to {high:g}"
             )
             low = high = None
+        access = keys["AccessType"]
+        if access in WRITABLE and low == high == 0:
+            self.parsed.note(f"[{name}]", "limits of 0 are none, left out", "LowLimit and HighLimit", "0 to 0")
+            low = high = None
         return EdsEntry(
             Entry(index, subindex, data_type, keys["ParameterName"]),
-            keys["AccessType"],
+            access,
             low,
             high,
             self._value(name, keys, "DefaultValue", data_type),

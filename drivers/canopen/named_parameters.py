@@ -133,10 +133,13 @@ class NamedParameters(DriveParameters):
         """As `DriveParameters.write`; raises InputError for a value of another kind too."""
         found = self._find(name)
         kind = kind_of(found.entry.type)
-        if self._access.refusal(found) is None and not isinstance(value, FITTING[kind]):
-            raise InputError(f"{found.entry}: {value!r} is no {kind.value}")
+        present: ParameterValue | None = None
+        if self._access.refusal(found) is None:
+            if not isinstance(value, FITTING[kind]):
+                raise InputError(f"{found.entry}: {value!r} is no {kind.value}")
+            present = self._access.read(found).value
         self._access.check(found, value)
-        if self._access.read(found).value == value:
+        if present == value:
             return False
         self._access.write(found, value)
         return True

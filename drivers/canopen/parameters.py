@@ -34,6 +34,7 @@ class CanOpenParameters:
     def __init__(self, node: Node, eds: EdsFile) -> None:
         self._node = node
         self.eds = eds
+        self._found: dict[tuple[int, int], Value] = {}  # as first read: never out of range when it is put back
 
     # -- which --------------------------------------------------------------------------------------------------------
     def readable(self) -> tuple[EdsEntry, ...]:
@@ -65,16 +66,18 @@ class CanOpenParameters:
         entry, clock = found.entry, self._node.clock
         start_ns = clock.now_ns()
         value = entry.unpack(self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
+        self._found.setdefault(entry.key, value)
         return Access(value, (clock.now_ns() - start_ns) * 1e-9)
 
     def check(self, found: EdsEntry, value: Value) -> None:
-        """Raise CapabilityError for an entry that may not be written, InputError for a value outside its type or limits."""
+        """Raise CapabilityError for an entry that may not be written, InputError for a value outside its type, or outside its limits
+        unless the drive was found with it."""
         refusal = self.refusal(found)
         if refusal is not None:
             raise CapabilityError(f"drive {self._node.name}: {refusal}")
         entry = found.entry
         entry.pack(value)
-        if isinstance(value, (int, float)):
+        if isinstance(value, (int, float)) and value != self._found.get(entry.key):
             if found.low is not None and value < found.low:
                 raise InputError(f"{entry}: {value!r} is below its limit {found.low:g}", path=self.eds.path)
             if found.high is not None and value > found.high:

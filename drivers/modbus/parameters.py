@@ -10,7 +10,7 @@ from fractions import Fraction
 from drivers.clock import Clock
 from drivers.drive import DriveState
 from drivers.errors import AbortError, CapabilityError, InputError, MotionTimeoutError, ProtocolError, StateError
-from drivers.modbus.codec import OrderMatch, RegisterType, decode, encode, probe_order
+from drivers.modbus.codec import OrderMatch, Raw, RegisterType, decode, encode, probe_order
 from drivers.modbus.drive_map import DriveMap, Ratio, all_hold
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, Register, Value
@@ -40,6 +40,7 @@ class ModbusParameters(DriveParameters):
         self._access = access
         self._clock = clock
         self.wear = wear
+        self._found: dict[str, Raw] = {}  # by name, as before the first write: never out of range when it is put back
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,9 +86,9 @@ class ModbusParameters(DriveParameters):
     def write(self, name: str, value: ParameterValue) -> bool:
         """Write one parameter and read it back; False when the drive held the value already and nothing was written.
 
-        Raises InputError outside the map's limits or for an unknown name, CapabilityError for one that is read only or moves the axis,
-        StateError when its EEPROM budget is used up, AbortError when the drive refuses, ProtocolError when it accepted the value but
-        shows another.
+        Raises InputError outside the map's limits, unless the drive was found with the value, or for an unknown name, CapabilityError
+        for one that is read only or moves the axis, StateError when its EEPROM budget is used up, AbortError when the drive refuses,
+        ProtocolError when it accepted the value but shows another.
         """
         register = self._access.registers[name]
         if name in self._map.moving():
@@ -96,9 +97,11 @@ class ModbusParameters(DriveParameters):
             raise CapabilityError(f"drive {self._drive}: {name} cannot be written and read back")
         if isinstance(value, bytes):
             raise InputError(f"{name} cannot be {value!r}, expected {kind_of(register).value}")
-        raw = register.raw_of(value)
+        present = self._access.words((name,))[name]
+        found = self._found.setdefault(name, decode(present, register.layout))
+        raw = found if register.value_of(found) == value else register.raw_of(value)
         words = encode(raw, register.layout)
-        if self._access.words((name,))[name] == words:
+        if present == words:
             return False
         if register.memory is Memory.EEPROM:
             self.wear.charge(self._drive, name, register.wear_budget)

@@ -16,6 +16,7 @@ from hil.parameters.preflight import (
     notes_of_file,
     objections_to_file,
     objections_to_identity,
+    unless_held,
 )
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.tasks import Progress, no_progress, run_together, serialized
@@ -138,6 +139,7 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
         comparison.rows.append(
             Compared(each.address, info.name, drive.unit_of(parameter), held, meant, side, "", access.seconds)
         )
+    comparison.objections = unless_held(drive, comparison.objections, wanted, shown)
     comparison.cost = drive.cost([*shown.items(), *differing], differing)
     comparison.answer_s = _answer_s(comparison, shown)
 

@@ -29,6 +29,7 @@ from hil.parameters.preflight import (
     objections_to_file,
     objections_to_identity,
     objections_to_reversal,
+    unless_held,
 )
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import Ask, audit
@@ -143,6 +144,7 @@ def _look(work: _Download, store: bool) -> Steps[None]:
         if why is not None:
             work.objections.append(Objection("", "", why))
     yield from snapshot(work)
+    work.objections = unless_held(drive, work.objections, wanted, work.old)
     tables = work.target.tables
     if tables is not None:
         work.objections += objections_to_reversal(drive, tables, work.target.backlash, wanted, work.old)

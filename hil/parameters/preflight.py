@@ -86,6 +86,20 @@ def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted
     return wanted, objections
 
 
+def unless_held(
+    drive: RawParameters, objections: Sequence[Objection], wanted: Sequence[Wanted], held: Mapping[str, bytes]
+) -> list[Objection]:
+    """The objections but those to a value that the drive holds already: what a drive holds is never out of range, nor written."""
+    same = {
+        each.address
+        for each in wanted
+        if each.parameter.refusal is None
+        and each.address in held
+        and drive.same(each.parameter, held[each.address], each.data)
+    }
+    return [each for each in objections if each.address not in same]
+
+
 def _listed(addresses: Sequence[str]) -> str:
     return ", ".join(addresses[:_NAMED]) + (", …" if len(addresses) > _NAMED else "")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 
 import pytest
 
@@ -98,6 +99,24 @@ def test_limits_and_types_are_kept_before_the_wire(rig: Rig, value: float) -> No
     with pytest.raises(InputError, match="Proportional gain"):
         rig.parameters.write(rig.parameters.find(*GAIN), value)
     assert rig.drive.sdo.counters.transfers == transfers
+
+
+@pytest.mark.parametrize(
+    ("key", "held", "new", "limits"),
+    [(GAIN, 1000, 400, (0, 500)), ((0x6065, 0), 0xFFFF_FFFF, 20_000, (1, 100_000)), ((0x607C, 0), -5, 50, (0, 100))],
+)
+def test_what_the_drive_was_found_with_can_be_put_back(
+    rig: Rig, key: tuple[int, int], held: int, new: int, limits: tuple[int, int]
+) -> None:
+    rig.bench.slave.dictionary.set_number(*key, held)
+    found = replace(rig.parameters.find(*key), low=limits[0], high=limits[1])
+    assert rig.parameters.read(found).value == held
+    rig.parameters.write(found, new)
+    rig.parameters.write(found, held)
+    assert rig.number(*key) == held
+    other = held - 1  # out of range as well, and never held
+    with pytest.raises(InputError, match=rf"{other} is (above|below) its limit"):
+        rig.parameters.write(found, other)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -30,6 +31,7 @@ from drivers.modbus.codec import Layout, Order, RegisterType
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
@@ -850,6 +852,23 @@ def test_eeprom_is_spared_and_the_count_outlives_the_process(tmp_path: Path) -> 
         with pytest.raises(StateError):
             drive.parameters.write("origin_offset", 99)
         assert drive.parameters.write("origin_creep", 5.0)
+
+
+@pytest.mark.parametrize("name", ["max_torque", "position_gain", "following_error_window"])
+def test_a_parameter_beyond_its_maps_limits_is_put_back_as_found(name: str, tmp_path: Path) -> None:
+    path, table = tmp_path / "map.toml", f"[registers.{name}]\n"
+    text = re.sub(r"(?m)^limits = .*\n", "", find_map(CIA402).read_text(encoding="utf-8"))
+    path.write_text(text.replace(table, f"{table}limits = [1, 50]\n"), encoding="utf-8")
+    with rig(CIA402, map_path=path) as r, r.drive as drive:
+        before = drive.parameters.read(name)
+        assert isinstance(before, int | float)
+        assert before > 50
+        assert drive.parameters.write(name, before) is False
+        assert drive.parameters.write(name, 2) is True
+        assert drive.parameters.write(name, before) is True
+        assert drive.parameters.read(name) == before
+        with pytest.raises(InputError, match=f"{name} cannot be"):
+            drive.parameters.write(name, before - 1)
 
 
 def test_a_refused_parameter_names_itself() -> None:

@@ -105,6 +105,24 @@ def test_one_wrong_entry_and_nothing_is_written(make: Make, entry: SetEntry, why
     assert rig.journals[0].last() is None
 
 
+@pytest.mark.parametrize("key", KEYS[:3])
+def test_a_value_that_the_drive_holds_is_not_out_of_range(make: Make, parsed: EdsFile, key: tuple[int, int]) -> None:
+    held = parsed.entries[key].default
+    assert isinstance(held, int)
+    narrow = {**parsed.entries, key: replace(parsed.entries[key], low=held + 1, high=held + 2)}
+    rig = make(file=replace(parsed, entries=narrow))
+    contents = back_up(rig.drives)[0].contents
+    assert contents is not None
+    address = f"{key[0]:04X}h:{key[1]:02X}"
+    assert not compare([(rig.drives[0], contents)])[0].objections
+    assert run(rig, contents)[0].ending is Ending.UNCHANGED
+    entries = tuple(
+        replace(each, value=held + 5, raw=None) if each.address == address else each for each in contents.entries
+    )
+    refused = run(rig, replace(contents, entries=entries))[0]
+    assert [str(each) for each in refused.objections if "above its limit" in each.why]
+
+
 def test_all_objections_are_named_at_once(make: Make) -> None:
     rig = make()
     rig.bench.servo.power_on()

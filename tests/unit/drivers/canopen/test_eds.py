@@ -398,3 +398,32 @@ def test_any_shuffle_of_a_files_lines_is_read_or_refused(
         load_eds(path, 5)
     except InputError as error:
         assert "shuffled.eds" in str(error)  # noqa: PT017 - either way is right
+
+
+@pytest.mark.parametrize("kind", ["0x0007", "0x0003", "0x0005", "0x0008", "UNSIGNED16"])
+@pytest.mark.parametrize("access", ["rw", "rww", "RWR", "wo"])
+@pytest.mark.parametrize("zero", ["0", "0x0", "00000000h"])
+def test_limits_of_0_on_what_is_written_are_none(tmp_path: Path, kind: str, access: str, zero: str) -> None:
+    """CANopenEditor issue 54: an editor writes LowLimit=0 and HighLimit=0 where nobody entered limits."""
+    path = tmp_path / "drive.eds"
+    for name, low, high, kept in (
+        ("6065", zero, zero, False),
+        ("6065", zero, "5000", True),
+        ("607Bsub1", zero, zero, False),
+    ):
+        path.write_text(
+            f"[{name}]\nParameterName=x\nDataType={kind}\nAccessType={access}\nLowLimit={low}\nHighLimit={high}\n",
+            encoding="utf-8",
+        )
+        eds = load_eds(path)
+        (found,) = (found for found in eds.entries.values() if found.entry.name == "x")
+        if kind == "0x0008" and zero != "0":
+            continue  # a REAL in hexadecimal digits has the bits of one
+        assert (found.low, found.high) == ((0, 5000) if kept else (None, None))
+        assert any("limits of 0 are none" in note.kind for note in eds.notes) is not kept
+
+
+def test_a_read_only_object_may_have_nothing_but_0(tmp_path: Path) -> None:
+    path = tmp_path / "drive.eds"
+    path.write_text("[6502]\nParameterName=x\nDataType=0x7\nAccessType=ro\nLowLimit=0\nHighLimit=0\n", encoding="utf-8")
+    assert load_eds(path).entries[0x6502, 0].high == 0

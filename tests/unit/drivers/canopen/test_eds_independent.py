@@ -100,6 +100,7 @@ def test_no_value_differs_without_a_note() -> None:
     assert kinds == {
         "is no DOMAIN in hexadecimal digits, left out": 39,
         "limits hold nothing, left out": 14,
+        "limits of 0 are none, left out": 164,
         "is one too many, 254 were assumed": 3,
     }
     assert longest <= 8  # lines of the summary
