@@ -9,6 +9,7 @@ import os
 import re
 import stat
 import tempfile
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from drivers.errors import InputError
@@ -103,6 +104,35 @@ def decode_text(
 def decode_log(data: bytes) -> str:
     """The text of a log in UTF-8 whose last line may be torn: what is none is replaced."""
     return data.decode("utf-8-sig", "replace")
+
+
+SEPARATOR = re.compile(r'"?sep=(.?)"?', re.IGNORECASE)
+"""The line by which a spreadsheet names the delimiter of a table."""
+
+
+def is_row(line: str) -> bool:
+    """Whether a line of a table holds cells: it is not empty, no remark (#), not delimiters alone, and not `SEPARATOR`."""
+    stripped = line.strip()
+    text = stripped.strip(" \t;,|")
+    return bool(text) and not text.startswith("#") and not SEPARATOR.fullmatch(stripped)
+
+
+def without_empty_end(cells: list[str], columns: int = 0) -> list[str]:
+    """The cells of a row less the empty ones behind the first `columns`, as spreadsheets write them."""
+    end = len(cells)
+    while end > columns and not cells[end - 1].strip():
+        end -= 1
+    return cells[:end]
+
+
+def table_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each row of a table with commas; the first row is its header."""
+    columns = 0
+    for number, line in enumerate(lines, start=1):
+        if is_row(line):
+            cells = without_empty_end([cell.strip() for cell in line.split(",")], columns)
+            columns = columns or len(cells)
+            yield number, cells
 
 
 def _older(data: bytes) -> str:

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import InputError
-from drivers.files import encoding_of
+from drivers.files import encoding_of, is_row, without_empty_end
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 
 MOST_BYTES = 1 << 28
@@ -95,9 +95,9 @@ def _columns(lines: Iterator[str]) -> dict[str, Sequence[float]]:
     columns: dict[str, array[float]] = {}
     cells_read = 0
     for number, line in enumerate(lines, start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
+        if not is_row(line):
             continue
-        cells = [cell.strip() for cell in line.split(",")]
+        cells = without_empty_end([cell.strip() for cell in line.split(",")], len(columns))
         if not columns:
             columns = {name: array("d") for name in cells}
             if len(columns) != len(cells):

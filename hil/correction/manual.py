@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_text
+from drivers.files import read_text, table_rows
 from hil.correction.tables import (
     Band,
     DirectionalTable,
@@ -144,9 +144,8 @@ def _read_columns(
 
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
-    """Number and cells of each line that is neither empty nor a remark."""
-    lines = enumerate(split_lines(text), start=1)
-    return [(number, line.split(",")) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
+    """Number and cells of each row."""
+    return list(table_rows(split_lines(text)))
 
 
 def _number(cell: str, name: str, path: str | Path, line: int) -> float:

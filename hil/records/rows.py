@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputError
-from drivers.files import read_text
+from drivers.files import is_row, read_text, without_empty_end
 
 Floats = NDArray[np.float64]
 
@@ -245,14 +245,14 @@ def parse_rows(text: str, path: str | Path) -> tuple[list[str], list[list[float]
     header: list[str] | None = None
     rows: list[list[float]] = []
     for number, line in enumerate(_LINE_END.split(text), start=1):
-        if not line.strip() or line.lstrip().startswith("#"):
+        if not is_row(line):
             _withdraw(line, rows, path, number)
             continue
         cells = [cell.strip() for cell in line.split(",")]
         if header is None:
-            header = _check_header(cells, path, number)
+            header = _check_header(without_empty_end(cells), path, number)
         else:
-            rows.append(_parse_row(cells, header, path, number))
+            rows.append(_parse_row(without_empty_end(cells, len(header)), header, path, number))
     if header is None:
         raise InputError("holds no header row", path=path)
     return header, rows
@@ -272,9 +272,10 @@ def _check_header(cells: list[str], path: str | Path, line: int) -> list[str]:
     missing = [name for name in REQUIRED if name not in cells]
     if missing:
         found = shown(",".join(cells))
-        raise InputError(
-            f"header {found} lacks {', '.join(missing)}; expected at least {','.join(REQUIRED)}", path=path, line=line
-        )
+        commas = not re.search(r"[;\t]", "".join(cells))
+        expected = f"at least {','.join(REQUIRED)}" if commas else "commas (`hil import --format csv` reads others)"
+        what = f"header {found} lacks {', '.join(missing)}; expected {expected}"
+        raise InputError(what, path=path, line=line)
     seen: set[str] = set()
     for number, name in enumerate(cells, start=1):
         if not name:

@@ -27,28 +27,44 @@ from hil.correction.formats import (
     twincat,
     wide_iso,
 )
-from hil.correction.formats.common import Export, enough
+from hil.correction.formats.common import Export, enough, refuse_errors_as_positions, refuse_positions
 from hil.correction.tables import TableSet
 from hil.records.rows import Records
 
 
 @dataclass(frozen=True)
 class Controller:
-    """A controller's format: its settings class, the conversion of tables to a file (`export`) and of a file to tables (`load`)."""
+    """A controller's format: its settings class, the conversion of tables to a file (`export`) and of a file to tables (`load`), and
+    the remedy where a file's values are read as what they are not (`refuse_positions`).
+    """
 
     name: str
     settings: type[Any]
     export: Callable[[TableSet, Any], Export]
     load: Callable[[str, Any], TableSet]
+    remedy: str
+
+    def read(self, text: str, settings: Any) -> TableSet:
+        """The tables of a file. Raises InputError, also as `refuse_positions`."""
+        tables = self.load(text, settings)
+        refuse_positions(tables, self.remedy.format(**vars(settings)))
+        return tables
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """A format of measurements: its settings class, and the conversion of a file to records (`load`)."""
+    """A format of measurements: its settings class, the conversion of a file to records (`load`), and the remedy."""
 
     name: str
     settings: type[Any]
     load: Callable[[str, Any], Records]
+    remedy: str
+
+    def read(self, text: str, settings: Any) -> Records:
+        """The rows of a file. Raises InputError, also as `refuse_errors_as_positions`."""
+        records = self.load(text, settings)
+        refuse_errors_as_positions(records, self.remedy)
+        return records
 
 
 def export_within(controller: Controller, tables: TableSet, settings: Any) -> Export:
@@ -87,21 +103,78 @@ _RESAMPLING_UM = tuple(10.0 * 0.7**step for step in range(20))
 _ROUNDING_UM = 1e-9
 """Of the comparison itself."""
 
+_SCREW_MAP = (
+    "below the header commanded_mm,real_mm stand positions, below position_mm,error_mm (or error_positive_mm,error_negative_mm)"
+    " expected less actual position: give the header that is right"
+)
+_ERRORS = "write the errors (measured less target) in place of the positions, or the other way round"
 CONTROLLERS: tuple[Controller, ...] = (
-    Controller("linuxcnc", linuxcnc.LinuxCncSettings, linuxcnc.export, linuxcnc.load),
-    Controller("sinumerik", sinumerik.SinumerikSettings, sinumerik.export, sinumerik.load),
-    Controller("fanuc", fanuc.FanucSettings, fanuc.export, fanuc.load),
-    Controller("twincat", twincat.TwinCatSettings, twincat.export, twincat.load),
-    Controller("grblhal", grbl.GrblHalSettings, grbl.export_grblhal, grbl.load_grblhal),
-    Controller("fluidnc", grbl.FluidNcSettings, grbl.export_fluidnc, grbl.load_fluidnc),
-    Controller("mach3", mach.Mach3Settings, mach.export, mach.load),
-    Controller("mach4", mach.Mach4Settings, mach.export, mach.load),
+    Controller(
+        "linuxcnc",
+        linuxcnc.LinuxCncSettings,
+        linuxcnc.export,
+        linuxcnc.load,
+        "the file is not of COMP_FILE_TYPE {comp_type} but of the other one: give that (comp_type)",
+    ),
+    Controller(
+        "sinumerik",
+        sinumerik.SinumerikSettings,
+        sinumerik.export,
+        sinumerik.load,
+        "a value is what the control subtracts, in mm: write errors in place of positions",
+    ),
+    Controller(
+        "fanuc",
+        fanuc.FanucSettings,
+        fanuc.export,
+        fanuc.load,
+        "it was read with a detection unit of {detection_unit_um:g} µm (detection_unit_um) and 3624 in {setting_unit_mm:g} mm"
+        " (setting_unit_mm): give those of the control",
+    ),
+    Controller(
+        "twincat",
+        twincat.TwinCatSettings,
+        twincat.export,
+        twincat.load,
+        "a value is actual less commanded position in 0.1 µm: write errors in place of positions",
+    ),
+    Controller(
+        "grblhal",
+        grbl.GrblHalSettings,
+        grbl.export_grblhal,
+        grbl.load_grblhal,
+        "the steps per mm of before were {steps_per_mm} (steps_per_mm): give those the file was made with",
+    ),
+    Controller(
+        "fluidnc",
+        grbl.FluidNcSettings,
+        grbl.export_fluidnc,
+        grbl.load_fluidnc,
+        "the steps per mm of before were {steps_per_mm} (steps_per_mm): give those the file was made with",
+    ),
+    Controller("mach3", mach.Mach3Settings, mach.export, mach.load, _SCREW_MAP),
+    Controller("mach4", mach.Mach4Settings, mach.export, mach.load, _SCREW_MAP),
 )
 
 MEASUREMENTS: tuple[Measurement, ...] = (
-    Measurement("keysight", keysight.KeysightSettings, keysight.load),
-    Measurement("renishaw", renishaw.RenishawSettings, renishaw.load),
-    Measurement("lines", lines.LinesSettings, lines.load),
-    Measurement("csv", measured_csv.MeasuredCsvSettings, measured_csv.load),
-    Measurement("iso-wide", wide_iso.WideIsoSettings, wide_iso.load),
+    Measurement("keysight", keysight.KeysightSettings, keysight.load, f"LinearErr holds errors: {_ERRORS}"),
+    Measurement("renishaw", renishaw.RenishawSettings, renishaw.load, f"DEVIATIONS holds µm: {_ERRORS}"),
+    Measurement(
+        "lines",
+        lines.LinesSettings,
+        lines.load,
+        "name the group of the pattern measured_<unit> for positions, error_<unit> for errors (pattern)",
+    ),
+    Measurement(
+        "csv",
+        measured_csv.MeasuredCsvSettings,
+        measured_csv.load,
+        "give measured_mm=HEADER for positions, error_um=HEADER for errors, with :UNIT where it is another (columns)",
+    ),
+    Measurement(
+        "iso-wide",
+        wide_iso.WideIsoSettings,
+        wide_iso.load,
+        f"give {', '.join(wide_iso.CELLS)}, as the cells are (cells)",
+    ),
 )

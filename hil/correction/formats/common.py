@@ -6,20 +6,34 @@ here convert tables and numbers, do no I/O, and hold nothing that is true of one
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import SEPARATOR, is_row, without_empty_end
 from hil.correction.compensation import Compensation, ErrorTerm
 from hil.correction.fold import folded
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects import Term
-from hil.records.rows import Floats, parse_number, shown
+from hil.records.rows import FAR_MM, UM_PER_MM, Floats, Records, parse_number, refuse_other_units, shown
 
 NM_IN_UM = 1e-3
+LENGTH_MM = {
+    "nm": 1e-6,
+    "um": 1e-3,
+    "µm": 1e-3,
+    "μm": 1e-3,
+    "mm": 1.0,
+    "cm": 10.0,
+    "m": 1000.0,
+    "in": 25.4,
+    "inch": 25.4,
+}
+"""Unit of a length -> mm."""
 
 
 @dataclass(frozen=True)
@@ -252,6 +266,45 @@ def thinned(table: DirectionalTable, max_points: int, tolerance_um: float) -> Di
         kept = sorted({*kept, worst})
 
 
+GROWS = 0.1
+"""Change of a correction with the position, mm/mm, that no machine needs: ten times the default of `max_slope_um_per_mm`."""
+REPEATS = 1e-3
+"""Share by which errors in µm that repeat the targets in mm deviate from doing so: a position is off by less."""
+
+
+def refuse_positions(tables: TableSet, remedy: str) -> None:
+    """Raises InputError, with the remedy, for a correction that grows as the position does: its values are positions, in another unit,
+    or of the other type.
+    """
+    table = both_directions(tables, cross_axis=True)
+    slopes = [_slope(table.position_mm, curve / UM_PER_MM) for curve in (table.plus_um, table.minus_um)]
+    steepest = max(slopes, key=abs)
+    if abs(steepest) > GROWS:
+        raise InputError(
+            f"the correction would change by {steepest:.3g} mm per mm of position, more than any axis needs; {remedy}"
+        )
+
+
+def refuse_errors_as_positions(records: Records, remedy: str) -> None:
+    """Raises InputError, with the remedy, for errors that grow as the target does, in mm or as their number in µm, and as
+    `refuse_other_units`.
+    """
+    try:
+        refuse_other_units(records)
+    except InputError as error:
+        raise InputError(f"{error.what}; {remedy}") from error
+    target, error_um = records.target_mm, records.error_um
+    off = error_um - target - np.mean(error_um - target)
+    if np.std(target) > FAR_MM and np.std(off) < REPEATS * np.std(target):
+        raise InputError(f"the errors in µm repeat the targets in mm: they are positions; {remedy}")
+
+
+def _slope(x: Floats, y: Floats) -> float:
+    from_middle = x - np.mean(x)
+    square = float(from_middle @ from_middle)
+    return float(from_middle @ y) / square if square else 0.0
+
+
 def check_written(written: TableSet, wanted: DirectionalTable, *, limit_um: float) -> float:
     """Deviation of a file that was read back from the wanted table, µm. Raises InputError above `limit_um`."""
     deviation = largest_difference_um(both_directions(written), wanted)
@@ -283,7 +336,73 @@ def one_directional_set(positions: Floats, plus_um: Floats, backlash_um: float) 
 
 def numbered_lines(text: str) -> Iterator[tuple[int, str]]:
     """The lines, stripped, with their numbers, which count from 1; empty lines too. Line ends are LF, CR or both."""
-    yield from ((number, line.strip()) for number, line in enumerate(re.split(r"\r\n|\n|\r", text), start=1))
+    yield from ((number, line.strip()) for number, line in enumerate(_LINE_END.split(text), start=1))
+
+
+_LINE_END = re.compile(r"\r\n|\n|\r")
+
+
+Rows = list[tuple[int, list[str]]]
+"""Number and cells of each row of a file."""
+
+
+def delimited_rows(text: str, delimiter: str, is_header: Callable[[list[str]], bool]) -> Rows:
+    """The header, the first row that is one, and the rows below it; all rows where none is.
+
+    delimiter: "" for the one that a line `sep=` names, else the first of tab, semicolon and comma with which the header is one. Empty
+    cells behind the header's last are left out. Raises InputError with the line for a row of another width, and
+    for a table without a row below the header.
+    """
+    lines = list(enumerate(_LINE_END.split(text), start=1))  # not stripped: a row may begin with empty cells
+    found_mark = SEPARATOR.fullmatch(lines[0][1].strip(" "))
+    named = "" if found_mark is None else found_mark[1]
+    rows = [(number, line) for number, line in lines if is_row(line)]
+    candidates = [delimiter or named] if delimiter or named else ["\t", ";", ","]
+    places = ((place, each) for place, (_, line) in enumerate(rows) for each in candidates if each in line)
+    first, found = next(
+        ((place, each) for place, each in places if is_header(_cells(rows[place], each))),
+        (0, next((each for each in candidates if rows and each in rows[0][1]), "")),
+    )
+    if rows and not found:
+        raise InputError(
+            "the header has no tab, semicolon or comma to part its columns; name the delimiter (delimiter)",
+            line=rows[0][0],
+        )
+    if len(rows) - first < 2:
+        raise InputError("holds no table, expected a header and at least one row")
+    header = without_empty_end(_cells(rows[first], found))
+    table = [(rows[first][0], header)]
+    for row in rows[first + 1 :]:
+        cells = without_empty_end(_cells(row, found), len(header))
+        if len(cells) != len(header):
+            raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=row[0])
+        table.append((row[0], cells))
+    return table
+
+
+def _cells(row: tuple[int, str], delimiter: str) -> list[str]:
+    try:
+        return [cell.strip() for cell in next(csv.reader([row[1]], delimiter=delimiter))]
+    except csv.Error as error:
+        raise InputError(f"is no row of a table: {error}", line=row[0]) from error
+
+
+def without_unit_row(rows: Rows, units: Mapping[int, str], remedy: str) -> Rows:
+    """The rows below a header, less a first one of units: a unit of length, or nothing, in each column of `units`.
+
+    units: column -> the unit that is taken for it.
+    Raises InputError with the line, and the remedy, where it names another unit; and where no row is left.
+    """
+    line, cells = rows[0]
+    named = {place: cells[place].strip("[]()").lower() for place in units if cells[place]}
+    if not named or not all(unit in LENGTH_MM for unit in named.values()):
+        return rows
+    for place, unit in named.items():
+        if LENGTH_MM[unit] != LENGTH_MM[units[place].lower()]:
+            raise InputError(f"column {place + 1} is in {cells[place]}, taken is {units[place]}; {remedy}", line=line)
+    if len(rows) == 1:
+        raise InputError("holds no row below that of the units", line=line)
+    return rows[1:]
 
 
 def number(text: str, what: str, line: int, decimal: str = ".") -> float:

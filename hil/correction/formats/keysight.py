@@ -19,21 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
-from hil.correction.formats.common import number, numbered_lines, require
+from hil.correction.formats.common import LENGTH_MM, number, numbered_lines, require
 from hil.records.rows import Floats, Records
-
-LENGTH_MM = {
-    "nm": 1e-6,
-    "um": 1e-3,
-    "µm": 1e-3,
-    "μm": 1e-3,
-    "mm": 1.0,
-    "cm": 10.0,
-    "m": 1000.0,
-    "in": 25.4,
-    "inch": 25.4,
-}
-"""Unit of a length -> mm."""
 
 _COMMA_WITHIN = re.compile(r"\d+,\d+")
 _FIELD = re.compile(r'Identify\s*=\s*"?(\w+)"?[\s,;]*"?\s*(?:(\w+)\s*=\s*(.*))?$', re.IGNORECASE)

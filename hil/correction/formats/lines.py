@@ -9,13 +9,13 @@ heading and trailer; a line between them that does not match is refused, never s
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from drivers.errors import InputError
-from hil.correction.formats.common import number, numbered_lines, require
-from hil.correction.formats.keysight import LENGTH_MM
+from hil.correction.formats.common import LENGTH_MM, number, numbered_lines, require
 from hil.correction.formats.measured_csv import DIRECTIONS, inferred
 from hil.records.rows import Floats, Records
 
@@ -65,7 +65,7 @@ def load(text: str, settings: LinesSettings) -> Records:
     for line_number, match in found:
         for name, cell in match.groupdict().items():
             columns.setdefault(name, []).append(_value(name, cell, settings, line_number))
-    return _records({name: np.array(values) for name, values in columns.items()}, found[0][0])
+    return _records({name: np.array(values) for name, values in columns.items()}, [line for line, _ in found])
 
 
 def _value(name: str, cell: str | None, settings: LinesSettings, line: int) -> float:
@@ -83,7 +83,7 @@ def _value(name: str, cell: str | None, settings: LinesSettings, line: int) -> f
     return value
 
 
-def _records(columns: dict[str, Floats], first_line: int) -> Records:
+def _records(columns: dict[str, Floats], lines: Sequence[int]) -> Records:
     lengths = {}
     for name in list(columns):
         what, _, unit = name.rpartition("_")
@@ -93,7 +93,7 @@ def _records(columns: dict[str, Floats], first_line: int) -> Records:
     columns["target_mm"] = target
     columns["measured_mm"] = lengths["measured"] if "measured" in lengths else target + lengths["error"]
     if "run" not in columns or "direction" not in columns:
-        run, direction = inferred(target, first_line)
+        run, direction = inferred(target, lines)
         columns.setdefault("run", run)
         columns.setdefault("direction", direction)
     order = ["run", "direction", "target_mm", "measured_mm"]

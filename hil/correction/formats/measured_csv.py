@@ -1,23 +1,23 @@
 """Measurements as a CSV table of free form: any column names and delimiter, decimal point or comma, lengths in any unit.
 
 The settings state which column holds what; it is never guessed: `target_mm`, `measured_mm` (or `error_um` = measured - target),
-`direction`, `run`, and any other record column. Columns that they do not name are left out. Where the file has no run and direction,
-`infer` takes them from the order of the targets: rising is +, falling is -, and a run begins where the direction of the first row
-comes again after the other one.
+`direction`, `run`, and any other record column. Columns that they do not name are left out. Lines above the header are a heading; a
+row of units below it must name those of the columns. Where the file has no run and direction, `infer` takes them from the order of
+the targets (`inferred`).
 """
 
 from __future__ import annotations
 
-import csv
+import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
 from drivers.errors import InputError
-from hil.correction.formats.common import number, numbered_lines, require
-from hil.correction.formats.keysight import LENGTH_MM
+from hil.correction.formats.common import LENGTH_MM, delimited_rows, number, require, without_unit_row
 from hil.records.rows import UM_PER_MM, Floats, Records
 
 DIRECTIONS = {
@@ -63,6 +63,10 @@ class MeasuredCsvSettings:
                     name.endswith(("_mm", "_um")), f"column {name} is no length, it cannot have the unit {column.unit}"
                 )
 
+    def unit(self, name: str) -> str:
+        """Unit of a length in the file; "" for what is none."""
+        return self.column(name).unit or (name[-2:] if name.endswith(("_mm", "_um")) else "")
+
     def column(self, name: str) -> Column:
         """The file's column for the record column `name`: as stated, else the one with that name."""
         return self.columns.get(name, Column(name))
@@ -70,34 +74,21 @@ class MeasuredCsvSettings:
 
 def load(text: str, settings: MeasuredCsvSettings = MeasuredCsvSettings()) -> Records:
     """The rows in the order of the file. Lines that begin with # are left out. Raises InputError with the line."""
-    rows = [(line_number, line) for line_number, line in numbered_lines(text) if line and not line.startswith("#")]
-    if len(rows) < 2:
-        raise InputError("holds no table, expected a header and at least one row")
-    delimiter = settings.delimiter or _delimiter(rows[0][1])
-    header_line, header = rows[0][0], [cell.strip() for cell in _cells(rows[0][1], delimiter, rows[0][0])]
+    (header_line, header), *body = delimited_rows(
+        text, settings.delimiter, partial(_is_header, settings.column("target_mm").header)
+    )
     wanted = _wanted(header, settings, header_line)
+    units = {place: settings.unit(name) for name, place in wanted.items() if settings.unit(name)}
+    body = without_unit_row(body, units, "state it: --column NAME=HEADER:UNIT")
     columns: dict[str, list[float]] = {name: [] for name in wanted}
-    for line_number, line in rows[1:]:
-        cells = _cells(line, delimiter, line_number)
-        if len(cells) != len(header):
-            raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=line_number)
+    for line_number, cells in body:
         for name, index in wanted.items():
-            columns[name].append(_value(name, cells[index].strip(), settings, line_number))
-    return _records({name: np.array(values) for name, values in columns.items()}, settings, rows[1][0])
+            columns[name].append(_value(name, cells[index], settings, line_number))
+    return _records({name: np.array(values) for name, values in columns.items()}, settings, [line for line, _ in body])
 
 
-def _delimiter(header: str) -> str:
-    for candidate in ("\t", ";", ","):
-        if candidate in header:
-            return candidate
-    raise InputError("the header has no tab, semicolon or comma to part its columns; name the delimiter")
-
-
-def _cells(line: str, delimiter: str, line_number: int) -> list[str]:
-    try:
-        return next(csv.reader([line], delimiter=delimiter))
-    except csv.Error as error:
-        raise InputError(f"is no row of a table: {error}", line=line_number) from error
+def _is_header(target: str, cells: list[str]) -> bool:
+    return target in cells
 
 
 def _wanted(header: list[str], settings: MeasuredCsvSettings, line: int) -> dict[str, int]:
@@ -136,37 +127,60 @@ def _value(name: str, cell: str, settings: MeasuredCsvSettings, line: int) -> fl
     return value * LENGTH_MM[unit] * (UM_PER_MM if name.endswith("_um") else 1.0)
 
 
-def _records(columns: dict[str, Floats], settings: MeasuredCsvSettings, first_line: int) -> Records:
+def _records(columns: dict[str, Floats], settings: MeasuredCsvSettings, lines: Sequence[int]) -> Records:
     target = columns["target_mm"]
     if "error_um" in columns:
         columns["measured_mm"] = target + columns.pop("error_um") / UM_PER_MM
     if settings.infer and ("run" not in columns or "direction" not in columns):
-        run, direction = inferred(target, first_line)
+        run, direction = inferred(target, lines)
         columns.setdefault("run", run)
         columns.setdefault("direction", direction)
     order = ["run", "direction", "target_mm", "measured_mm"]
     return Records.of({name: columns[name] for name in (*order, *(name for name in columns if name not in order))})
 
 
-def inferred(target_mm: Floats, first_line: int) -> tuple[Floats, Floats]:
-    """Run, from 1, and direction, +1 or -1, of targets in the order of time; shape (n,) each. first_line: line of the first of them.
+def inferred(target_mm: Floats, lines: Sequence[int]) -> tuple[Floats, Floats]:
+    """Run, from 1, and direction, +1 or -1, of targets in the order of time; shape (n,) each. lines: where each stands in its file.
 
-    A target equal to the one before it belongs to the direction that follows: there the axis has turned. Raises InputError when the
-    first two targets are equal.
+    Rising is +, falling is -. A target equal to the one before it belongs to the direction that follows: there the axis has turned.
+    A run begins where the direction of the first row comes again after the other one; and where the axis has gone back past other
+    targets to a single one and on as before: that way back was not measured, and the target belongs to the new run. Raises InputError
+    with the line where the first two targets are equal, and for a way of one target next to it, which may be either.
     """
+    signs = _directions(target_mm, lines)
+    turns = np.flatnonzero(np.diff(signs)) + 1
+    begins = np.zeros(len(signs), dtype=bool)
+    begins[1:] = (signs[1:] == signs[0]) & (signs[:-1] != signs[0])
+    for start, end in itertools.pairwise([*turns.tolist(), len(signs)]):
+        repeated = target_mm[start] == target_mm[start - 1]
+        at = start + repeated
+        if end - at > 1:
+            continue
+        low, high = sorted(target_mm[[start - 1, end - 1]])
+        passed = bool(np.any((target_mm > low) & (target_mm < high)))
+        if repeated and at < end and not passed:
+            continue
+        if repeated or not passed or end == len(signs):
+            raise InputError(
+                f"target {target_mm[end - 1]:g} after {target_mm[start - 1]:g} is a way back of one target, or the first of another"
+                " run: state run and direction in columns of their own",
+                line=lines[end - 1],
+            )
+        signs[start] = -signs[start]
+        begins[start : start + 2] = True, False
+    return 1.0 + np.cumsum(begins), signs
+
+
+def _directions(target_mm: Floats, lines: Sequence[int]) -> Floats:
+    """The direction of the step to each target."""
     steps = np.sign(np.diff(target_mm))
     if len(steps) == 0 or steps[0] == 0:
-        raise InputError("the first two targets are the same, so the direction cannot be inferred", line=first_line)
+        raise InputError("the first two targets are the same, so the direction cannot be inferred", line=lines[0])
     direction = [float(steps[0])]
     for index, step in enumerate(steps):
-        if step:
-            direction.append(float(step))
-            continue
         following = steps[index + 1] if index + 1 < len(steps) else 0.0
-        direction.append(float(following) or -direction[-1])
-    signs = np.array(direction)
-    begins = np.concatenate([[False], (signs[1:] == signs[0]) & (signs[:-1] != signs[0])])
-    return 1.0 + np.cumsum(begins), signs
+        direction.append(float(step or following or -direction[-1]))
+    return np.array(direction)
 
 
 def parse_column(text: str) -> tuple[str, Column]:

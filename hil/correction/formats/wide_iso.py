@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
-from hil.correction.formats.common import number, numbered_lines, require
+from drivers.files import without_empty_end
+from hil.correction.formats.common import delimited_rows, number, require, without_unit_row
 from hil.correction.formats.measured_csv import DIRECTIONS
 from hil.records.rows import Records, shown
 
@@ -41,24 +42,17 @@ class WideIsoSettings:
 
 def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     """The rows of all runs. Raises InputError with the line, also for an empty cell."""
-    rows = [
-        (line_number, _cells(line, settings.delimiter))
-        for line_number, line in numbered_lines(text)
-        if line and not line.startswith("#")
-    ]
-    if len(rows) < 2:
-        raise InputError("holds no table, expected a header and a row per target")
-    header_line, header = rows[0]
+    (header_line, header), *body = delimited_rows(text, settings.delimiter, _is_header)
     columns = [_column(label, header_line) for label in header[1:]]
     if not columns:
         raise InputError("the header has no column of a run, expected such as 1+ or 1-", line=header_line)
     if len(set(columns)) != len(columns):
         raise InputError("the header names a run and direction twice", line=header_line)
+    units = {0: "mm", **dict.fromkeys(range(1, len(header)), settings.cells.rpartition("_")[2])}
+    body = without_unit_row(body, units, "targets are in mm, and what the cells hold is stated (cells)")
     table: list[tuple[float, list[float]]] = []
     seen: set[float] = set()
-    for line_number, cells in rows[1:]:
-        if len(cells) != len(header):
-            raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=line_number)
+    for line_number, cells in body:
         values = [number(cell, label, line_number, settings.decimal) for cell, label in zip(cells, header, strict=True)]
         if values[0] in seen:
             raise InputError(f"target {cells[0]} comes a second time", line=line_number)
@@ -106,17 +100,23 @@ def dump(records: Records, settings: WideIsoSettings = WideIsoSettings()) -> str
     return "\n".join(lines) + "\n"
 
 
-def _cells(line: str, delimiter: str) -> list[str]:
-    separator = delimiter or next((candidate for candidate in ("\t", ";", ",") if candidate in line), None)
-    return [cell.strip() for cell in line.split(separator)]
+def _is_header(cells: list[str]) -> bool:
+    labels = without_empty_end(cells)[1:]
+    return bool(labels) and all(_run_and_direction(label) for label in labels)
 
 
 def _column(label: str, line: int) -> tuple[int, float]:
+    if found := _run_and_direction(label):
+        return found
+    raise InputError(
+        f"column {shown(label)} names no run and direction, expected such as 1+ or run 1 reverse", line=line
+    )
+
+
+def _run_and_direction(label: str) -> tuple[int, float] | None:
     single_blanks = " ".join(label.split())  # in runs of them the patterns would try every division
     if match := _RUN_FIRST.fullmatch(single_blanks):
         return int(match[1]), DIRECTIONS[match[2].lower()]
     if match := _SIGN_FIRST.fullmatch(single_blanks):
         return int(match[2]), DIRECTIONS[match[1].lower()]
-    raise InputError(
-        f"column {shown(label)} names no run and direction, expected such as 1+ or run 1 reverse", line=line
-    )
+    return None

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from drivers.drive import DriveLimits
 from drivers.errors import InputError
-from drivers.files import read_text
+from drivers.files import read_text, table_rows
 from hil.diagnosis.next.planned_run import Point
 from hil.records.files import split_lines
 from hil.records.rows import parse_number, shown
@@ -48,11 +48,10 @@ def read_plan(path: str | Path, limits: DriveLimits) -> tuple[Point, ...]:
     """The rows of a plan file, each inside the limits with its reversal. Raises InputError naming file, line and
     value.
     """
-    lines = [(number, line) for number, line in enumerate(split_lines(read_text(path)), start=1)]
-    lines = [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
+    lines = list(table_rows(split_lines(read_text(path))))
     if not lines:
         raise InputError(f"holds no plan, expected a header with {', '.join(REQUIRED)}", path=path)
-    header = [cell.strip() for cell in lines[0][1].split(",")]
+    header = lines[0][1]
     missing = [name for name in REQUIRED if name not in header]
     unknown = [name for name in header if name not in (*REQUIRED, *FIELDS) and not SET.fullmatch(name)]
     if missing or unknown or len(set(header)) < len(header):
@@ -64,11 +63,10 @@ def read_plan(path: str | Path, limits: DriveLimits) -> tuple[Point, ...]:
         )
     if len(lines) < 2:
         raise InputError("holds no rows under its header", path=path)
-    return tuple(_point(line, header, limits, path, number) for number, line in lines[1:])
+    return tuple(_point(cells, header, limits, path, number) for number, cells in lines[1:])
 
 
-def _point(line: str, header: Sequence[str], limits: DriveLimits, path: str | Path, number: int) -> Point:
-    cells = [cell.strip() for cell in line.split(",")]
+def _point(cells: list[str], header: Sequence[str], limits: DriveLimits, path: str | Path, number: int) -> Point:
     if len(cells) != len(header):
         raise InputError(f"row has {len(cells)} columns, expected {len(header)}", path=path, line=number)
     values: dict[str, float] = {}

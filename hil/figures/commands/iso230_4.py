@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import read_text
+from drivers.files import read_text, table_rows
 from hil.app.terminal.output import add_json_option, number, print_facts, print_table, write_json
 from hil.figures.iso230_4 import MEANINGS, STANDARD, CircularPath, iso230_4
 from hil.records.files import naming, parse_json, split_lines
@@ -118,9 +118,8 @@ def _table(text: str, radius: float | None) -> tuple[float, tuple[Floats, Floats
     """Nominal radius and points of a path in CSV."""
     if radius is None:
         raise InputError("says nothing of the nominal radius; state it with --radius MM")
-    numbered = enumerate(split_lines(text), start=1)
-    lines = [(index, line.split(",")) for index, line in numbered if line.strip() and not line.lstrip().startswith("#")]
-    header = [cell.strip() for cell in lines[0][1]] if lines else []
+    lines = list(table_rows(split_lines(text)))
+    header = lines[0][1] if lines else []
     pair = next((pair for pair in (("x_mm", "y_mm"), ("angle_deg", "deviation_um")) if set(pair) <= set(header)), None)
     if pair is None:
         raise InputError(

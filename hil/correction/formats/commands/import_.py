@@ -88,12 +88,12 @@ def run(args: argparse.Namespace) -> int:
         if controller.name == args.format:
             settings = settings_from(args, args.format, controller.settings, options)
             with naming(args.file), as_typed(options):
-                tables = controller.load(read_text(args.file, older=True), settings)
+                tables = controller.read(read_text(args.file, older=True), settings)
             return _write_tables(args, tables)
     measurement = next(one for one in MEASUREMENTS if one.name == args.format)
     settings = settings_from(args, args.format, measurement.settings, options)
     with naming(args.file), as_typed(options):
-        records = measurement.load(read_text(args.file, older=True), settings)
+        records = measurement.read(read_text(args.file, older=True), settings)
     return _write_records(args, records)
 
 

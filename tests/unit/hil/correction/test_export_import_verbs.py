@@ -4,17 +4,23 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from drivers.drive import DriveLimits
+from drivers.instruments.replay import Recording
 from hil.app.terminal.main import main
 from hil.correction.compensation import Compensation
+from hil.correction.formats import CONTROLLERS, MEASUREMENTS
 from hil.correction.manual import read_manual_tables
 from hil.correction.sealed import new_key, save_public_key
 from hil.correction.store import SealedStore
 from hil.correction.tables import TableSet
+from hil.diagnosis.next.plans import read_plan
 from hil.effects import ALL, term_from_json
 from hil.effects.cyclic import FUNDAMENTAL
 from hil.effects.model import Model, PitchTable
@@ -319,3 +325,173 @@ def test_the_tolerance_that_a_refusal_names_is_kept(
         assert (
             float(advised[1]) < 0.5
         )  # 0.3 by the constant backlash, 0.05 by the digits of each part, the rest by the points
+
+
+TRIMS = "0 0 -0.004\n100 -0.002 -0.006\n200 -0.005 -0.009\n"
+REACHED = "0 0 0.004\n100 100.002 100.006\n200 200.005 200.009\n"
+SCREW_MAP = "0,{0}\n50,{1}\n120,{2}\n"
+WRONG: dict[str, tuple[str, list[str], str]] = {
+    "linuxcnc reached": (
+        REACHED,
+        ["linuxcnc", "--type", "1"],
+        "COMP_FILE_TYPE 1 but of the other one: give that (--type)",
+    ),
+    "linuxcnc trims": (TRIMS, ["linuxcnc", "--type", "0"], "COMP_FILE_TYPE 0 but of the other one: give that (--type)"),
+    "mach3 errors": ("commanded_mm,real_mm\n" + SCREW_MAP.format(0, 0.01, 0.02), ["mach3"], "position_mm,error_mm"),
+    "mach4 positions": (
+        "position_mm,error_mm\n" + SCREW_MAP.format(0, 50.01, 120.0),
+        ["mach4", "--symmetric"],
+        "real_mm",
+    ),
+    "sinumerik positions": (
+        "".join(f"$AA_ENC_COMP[0,{i},X1]={100 * i}.002\n" for i in range(3))
+        + "".join(f"$AA_ENC_COMP_{key}[0,X1]={value}\n" for key, value in (("STEP", 100), ("MIN", 0), ("MAX", 200))),
+        ["sinumerik"],
+        "errors in place of positions",
+    ),
+    "twincat positions": (
+        "kw.ssfk.kw_nr_max 3\nkw.ssfk.unit 1\n"
+        + "".join(f"kw.ssfk.table[{i}].setpoint {1000 * i}\nkw.ssfk.table[{i}].pos {1000 * i + 2}\n" for i in range(3)),
+        ["twincat"],
+        "errors in place of positions",
+    ),
+    "fanuc unit": (
+        "G10 L50\nN3620 P1 R1\nN3621 P1 R1\nN3622 P1 R3\nN3623 P1 R1\nN3624 P1 R20\nN10001 R5\nN10002 R6\nN10003 R4\nG11\n",
+        ["fanuc", "--axis", "1"],
+        "(--detection-unit-um) and 3624 in 0.001 mm (--setting-unit-mm)",
+    ),
+    "grblhal steps": (
+        "; hil: X from 0 to 300 mm\n$100=320\n",
+        ["grblhal", "--steps-per-mm", "160"],
+        "(--steps-per-mm)",
+    ),
+    "csv errors": (
+        "run,direction,target_mm,measured_mm\n1,+,0,.002\n1,+,50,.003\n1,+,90,.001\n",
+        ["csv"],
+        "error_um=HEADER",
+    ),
+    "csv positions": (
+        "run,direction,target_mm,error_um\n1,+,0,.002\n1,+,50,50.003\n1,+,90,90.001\n",
+        ["csv", "--column", "error_um=error_um"],
+        "measured_mm=HEADER",
+    ),
+    "csv unit": (
+        "run,direction,target_mm,measured_mm\n1,+,0,0\n1,+,50,50000\n1,+,90,90001\n",
+        ["csv"],
+        "with :UNIT where it is another (--column)",
+    ),
+    "iso-wide positions": ("target,1+,1-\n0,0,.004\n50,50.001,50.004\n90,90,90.003\n", ["iso-wide"], "(--cells)"),
+    "iso-wide errors": (
+        "target,1+,1-\n0,1,4\n50,2,4\n90,1,3\n",
+        ["iso-wide", "--cells", "position_mm"],
+        "deviation_um, deviation_mm, position_mm, as the cells are (--cells)",
+    ),
+    "keysight positions": (
+        "Identify=Positions,TextUnit=0 50 90 mm\nIdentify=LinearErr,TextUnit=0 50.1 90 90 50 0.1 mm\n",
+        ["keysight"],
+        "write the errors",
+    ),
+    "lines positions": (
+        "0 0.001\n50 50.002\n90 90.001\n",
+        ["lines", "--pattern", r"^(?P<target_mm>\S+) (?P<error_um>\S+)$"],
+        "measured_<unit> for positions",
+    ),
+    "renishaw positions": (
+        "TARGET DATA::\nTarget-count: 3\nTargets :\n0 50 90\nFlags: 0 0 2 0\nRUNS::\nRun-count: 1\nDEVIATIONS::\n"
+        "Run Target Data:\n1 1 0.001\n1 2 50.002\n1 3 90.001\n",
+        ["renishaw"],
+        "write the errors",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_values_read_as_what_they_are_not_are_refused_with_the_option(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    text, options, remedy = WRONG[name]
+    path, out = tmp_path / "file", tmp_path / "out.csv"
+    path.write_text(text)
+    assert main(["import", str(path), "--format", *options, "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"hil: {path}: ")
+    assert said.count("\n") == 1
+    assert remedy in said
+    assert not out.exists()
+
+
+def test_every_format_of_import_is_tried_with_values_of_the_other_kind() -> None:
+    tried = {options[0] for _, options, _ in WRONG.values()}
+    assert {one.name for one in (*CONTROLLERS, *MEASUREMENTS)} - tried == {"fluidnc"}  # the settings of grblhal
+
+
+GERMAN = [
+    *(
+        "--column",
+        "run=Lauf",
+        "--column",
+        "direction=Richtung",
+        "--column",
+        "target_mm=Soll",
+        "--column",
+        "measured_mm=Ist",
+    ),
+    *("--decimal", ","),
+]
+HEAD, ROWS = "Lauf§Richtung§Soll§Ist", ["1§+§0,0§0,002", "1§-§0,0§0,004"]
+
+
+@pytest.mark.parametrize("delimiter", [";", "\t", "|"])
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ["sep=§", HEAD, *ROWS],
+        ['"sep=§"', "", HEAD, *ROWS],
+        [HEAD, *ROWS, "§§§", "§§§"],
+        [HEAD, *(row + "§§" for row in ROWS)],
+        [HEAD + "§", *(row + "§" for row in ROWS)],
+        [HEAD, "§§mm§mm", *ROWS],
+        [HEAD, "-§§[MM]§(mm)", *ROWS],
+        ["Messung der X-Achse", "Datum§12.03.2024", "", HEAD, *ROWS],
+        ["sep=§", "Messung§X-Achse", HEAD, "§§mm§mm", *ROWS, "§§§§"],
+    ],
+)
+def test_what_a_spreadsheet_writes_round_a_table_is_no_row(delimiter: str, lines: list[str], tmp_path: Path) -> None:
+    path, out = tmp_path / "lab.csv", tmp_path / "records.csv"
+    path.write_text("\r\n".join(lines).replace("§", delimiter), newline="")
+    named = [] if any("sep=" in line for line in lines) else ["--delimiter", delimiter]
+    assert main(["import", str(path), "--format", "csv", *GERMAN, *named, "--out", str(out)]) == 0
+    assert read_csv(out).error_um == pytest.approx([2, 4])
+
+
+@pytest.mark.parametrize(
+    ("text", "reader"),
+    [
+        ("sep=,\nrun,direction,target_mm,measured_mm,\n1,+1,0,0.001,,\n,,,\n", read_csv),
+        ("sep=,\nposition_mm,plus_um,minus_um,\n0,1,2,,\n,,\n9,1,2\n", read_manual_tables),
+        ("sep=,\ntime_s,laser_mm,\n0,1,\n,,\n", Recording.read),
+        (
+            "sep=,\nrun,direction,target_mm,\n1,+1,10,,\n,,\n",
+            partial(read_plan, limits=DriveLimits(0.0, 500.0, 100.0, 500.0)),
+        ),
+    ],
+)
+def test_tables_of_this_program_are_read_when_a_spreadsheet_saved_them(
+    text: str, reader: Callable[[Path], object], tmp_path: Path
+) -> None:
+    path, plain = tmp_path / "saved.csv", tmp_path / "plain.csv"
+    path.write_text(text)
+    rows = [line.rstrip(",") for line in text.splitlines()[1:]]
+    plain.write_text("\n".join(filter(None, rows)) + "\n")
+    assert repr(reader(path)) == repr(reader(plain))
+
+
+def test_a_row_of_other_units_is_refused_with_the_option(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = tmp_path / "lab.csv", str(tmp_path / "records.csv")
+    path.write_text("\n".join([HEAD, "§§mm§µm", *ROWS]).replace("§", ";"))
+    assert main(["import", str(path), "--format", "csv", *GERMAN, "--out", out]) == 2
+    assert f"{path}:2: column 4 is in µm, taken is mm; state it: --column NAME=HEADER:UNIT" in capsys.readouterr().err
+    path.write_text("target,1+,1-\nmm,mm,mm\n0,0.001,0.004\n9,0.001,0.004\n")
+    assert main(["import", str(path), "--format", "iso-wide", "--out", out]) == 2
+    assert "column 2 is in mm, taken is um" in capsys.readouterr().err
+    assert main(["import", str(path), "--format", "iso-wide", "--cells", "deviation_mm", "--out", out]) == 0

@@ -155,12 +155,43 @@ def test_csv_run_and_direction_from_the_order(seed: int) -> None:
     same(measured_csv.load(text, MeasuredCsvSettings(infer=True)), wanted)
 
 
-def test_csv_one_way_runs_from_the_order() -> None:
-    run, direction = measured_csv.inferred(np.array([0.0, 5.0, 9.0]), 2)
-    assert run.tolist() == [1, 1, 1]
-    assert direction.tolist() == [1, 1, 1]
-    with pytest.raises(InputError, match="first two targets are the same"):
-        measured_csv.inferred(np.array([1.0, 1.0, 2.0]), 2)
+@pytest.mark.parametrize(
+    ("targets", "run", "direction"),
+    [
+        ("0 5 9", "111", "+++"),
+        ("0 5 9 0 5 9 0 5 9", "111222333", "+++++++++"),  # one way; the way back was not measured
+        ("9 5 0 9 5 0", "111222", "------"),
+        ("0 5 9 5 0 5 9 5 0", "111112222", "+++--++--"),  # there and back, the outer targets once
+        ("0 5 9 9 5 0 0 5 9", "111111222", "+++---+++"),
+        ("0 9 9 0 0 9 9 0", "11112222", "++--++--"),
+        ("0 5 9 1 6 8 2 4 7", "111222333", "+++++++++"),  # every run has targets of its own
+        ("0 5 9 0 5 9 9 5 0", "111222222", "++++++---"),  # a way back from the second run on
+    ],
+)
+def test_runs_and_directions_from_the_order(targets: str, run: str, direction: str) -> None:
+    at = np.array([float(each) for each in targets.split()])
+    found = measured_csv.inferred(at, range(2, 2 + len(at)))
+    assert "".join(f"{each:.0f}" for each in found[0]) == run
+    assert "".join("+" if each > 0 else "-" for each in found[1]) == direction
+
+
+@pytest.mark.parametrize(
+    ("targets", "line"),
+    [
+        ("1 1 2", 2),
+        ("0 9 0 9 0 9", 4),  # two targets: one way, or there and back
+        ("0 5 9 0", 5),  # the last reading is a run begun, or a way back of one target
+        ("0 5 9 5", 5),
+        ("0 5 9 9", 5),
+        ("0 5 9 9 0 5 9 9", 6),
+        ("0 5 9 5 9", 5),
+    ],
+)
+def test_an_order_that_does_not_say_the_direction_is_refused(targets: str, line: int) -> None:
+    at = np.array([float(each) for each in targets.split()])
+    with pytest.raises(InputError, match=r"direction cannot be inferred|state run and direction") as caught:
+        measured_csv.inferred(at, range(2, 2 + len(at)))
+    assert caught.value.line == line
 
 
 @pytest.mark.parametrize(
@@ -173,7 +204,7 @@ def test_csv_one_way_runs_from_the_order() -> None:
         ("run,direction,target_mm,measured_mm\n#\n1,+,2,\n", MeasuredCsvSettings(), "measured_mm is ''", 3),
         ("run,direction,target_mm,measured_mm\n1.5,+,2,2\n", MeasuredCsvSettings(), "whole number", 2),
         ("run,run,target_mm,measured_mm\n1,1,2,2\n", MeasuredCsvSettings(), "twice", 1),
-        ("only\n1\n", MeasuredCsvSettings(), "name the delimiter", None),
+        ("only\n1\n", MeasuredCsvSettings(), "name the delimiter", 1),
         ("run,direction,target_mm,measured_mm\n1,+,2," + "2" * 200_000 + "\n", MeasuredCsvSettings(), "no row", 2),
     ],
 )
@@ -257,7 +288,7 @@ def test_wide_table_in_any_heading(label: str, cells: str) -> None:
         ("target,first\n0,1\n", "names no run and direction", 1),
         ("target,1+\n0,1\n0,2\n", "a second time", 3),
         ("target,1+\n0,1,2\n", "3 columns, expected 2", 2),
-        ("target\n0\n", "no column of a run", 1),
+        ("target\n0\n", "name the delimiter", 1),
         ("target,1+\n", "holds no table", None),
     ],
 )
