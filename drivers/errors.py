@@ -3,6 +3,7 @@
     BridgeError
     ├── TransportError        the wire: no answer, or the port is gone
     │   ├── NoAnswerError         a request was not answered in time (it may or may not have been carried out)
+    │   │   └── OtherAnswerError      what came in time was no answer to it: another unit, object or length
     │   └── LinkLostError         the bus or port itself went away, or a heartbeat stopped
     │       └── InstrumentLinkError   the instrument's port cannot be opened
     ├── RemoteError           the device answered with a refusal
@@ -41,6 +42,17 @@ class TransportError(BridgeError):
 
 class NoAnswerError(TransportError):
     """A request was not answered in time; whether it was carried out is unknown."""
+
+
+class OtherAnswerError(NoAnswerError):
+    """A request was answered, by something that is no answer to it: of another unit or object, or of another length.
+
+    unit: the Modbus unit that answered for the one that was asked.
+    """
+
+    def __init__(self, message: str, unit: int | None = None) -> None:
+        super().__init__(message)
+        self.unit = unit
 
 
 class LinkLostError(TransportError):

@@ -17,7 +17,7 @@ from drivers.canopen.node import HEARTBEAT, NmtState
 from drivers.canopen.sdo import SdoClient, read_together
 from drivers.canopen.side_by_side import CanLine
 from drivers.drive import DriveState
-from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError
+from drivers.errors import AbortError, BridgeError, NoAnswerError, OtherAnswerError, ProtocolError
 from drivers.raw_parameters import Steps
 
 ALL_NODES = range(1, 128)
@@ -74,6 +74,8 @@ class FoundNode:
     state: DriveState | None = None
     position_counts: int | None = None
     fault_code: int | None = None
+    problem: str = ""
+    """What it answered in place of its device type."""
 
     @property
     def profile(self) -> int | None:
@@ -143,7 +145,7 @@ def scan(
     for node_id in wanted:
         node = found.get(node_id, FoundNode(node_id))
         heard = tuple(name for name in ear.heard.get(node_id, ()) if name != "SDO answer")
-        if heard or node.answers_sdo:
+        if heard or node.answers_sdo or node.problem:
             found[node_id] = replace(node, heard=heard, nmt_state=ear.states.get(node_id))
     return [found[node_id] for node_id in sorted(found)]
 
@@ -161,6 +163,11 @@ def _ask(link: CanLink, node_ids: Sequence[int], timeout_s: float) -> dict[int, 
             if not isinstance(answer, NoAnswerError)
         ]
         found = CanLine(link).run([_details(client, device_type) for client, device_type in there])
+        found += [
+            FoundNode(client.node_id, problem=str(answer))
+            for client, answer in zip(clients, answers, strict=True)
+            if isinstance(answer, OtherAnswerError)
+        ]
     finally:
         for client in clients:
             client.close()

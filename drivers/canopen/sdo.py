@@ -38,6 +38,7 @@ from drivers.errors import (
     BridgeError,
     LinkLostError,
     NoAnswerError,
+    OtherAnswerError,
     ProtocolError,
     RemoteError,
     StateError,
@@ -148,11 +149,13 @@ class Running(Generic[T]):
     def abandon(self) -> None:
         """Time is up: send an abort to the server, and end the transfer with NoAnswerError."""
         self._transfer.close()
-        how = "was not answered in time"
+        kind, how = (
+            (OtherAnswerError, self.talk.instead) if self.talk.instead else (NoAnswerError, "was not answered in time")
+        )
         if self.talk.steps:
             lasted_s = (self.client.link.clock.now_ns() - self._began_ns) / NS_PER_S
             how += f": {self.talk.carried} bytes in {lasted_s:.3f} s"
-        self.fail(NoAnswerError(f"{self.client.name}: SDO {self.talk.place()} {how}"))
+        self.fail(kind(f"{self.client.name}: SDO {self.talk.place()} {how}"))
         with contextlib.suppress(LinkLostError):  # the waiting call has already raised for a lost bus
             self.client.transmit(abort_frame(self.talk.index, self.talk.subindex, ABORT_TIMEOUT))
 
@@ -478,14 +481,15 @@ class SdoClient:
     ) -> bool:
         """Whether a late answer confirms the write; a late refusal is raised. Only an expedited write has a single answer."""
         for answer in late:
-            if len(answer) == 8 and answer[1:4] == talk.mux and 0 < len(data) <= 4:
-                if answer[0] == 0x60:
-                    self.counters.writes_confirmed_late += 1
-                    return True
-                try:
-                    talk.raise_abort(answer)
-                except AbortError as error:
-                    raise self.named(error) from lost
+            if not 0 < len(data) <= 4:
+                continue
+            if len(answer) == 8 and answer[1:4] == talk.mux and answer[0] == 0x60:
+                self.counters.writes_confirmed_late += 1
+                return True
+            try:
+                talk.raise_abort(answer)
+            except AbortError as error:
+                raise self.named(error) from lost
         if not reads_back:
             raise NoAnswerError(f"{lost}; whether it was done is unknown") from lost
         return False

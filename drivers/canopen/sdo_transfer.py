@@ -77,6 +77,8 @@ OBJECT_MISSING = (0x06020000, 0x06090011)
 """Codes for an object, or a sub-index, that does not exist."""
 
 ABORT = 0x80
+NO_OBJECT = b"\0\0\0"
+"""Index and sub-index of an abort that names no object, as some servers send it: of the transfer in progress, as there is one only."""
 UPLOAD, DOWNLOAD, BLOCK_DOWNLOAD, BLOCK_UPLOAD = 0x40, 0x60, 0xA0, 0xC0  # answers to initiate requests
 SERVER_SPECIFIERS = (0x00, 0x20, UPLOAD, DOWNLOAD, ABORT, BLOCK_DOWNLOAD, BLOCK_UPLOAD)
 
@@ -128,6 +130,7 @@ class Conversation:
         self.steps = 0
         self.carried = 0
         self.skipped = 0
+        self.instead = ""  # what came last instead of an answer, and the remedy
         self._awaited: tuple[int, ...] = ()
         self._by_blocks = False
         self.closing_frames: Frames = ()  # sent when the generator has ended; not answered
@@ -135,11 +138,30 @@ class Conversation:
     def place(self) -> str:
         return f"{self.index:04X}h:{self.subindex:02X}"
 
+    def is_abort(self, frame: bytes) -> bool:
+        """Whether a whole frame is an abort of this transfer."""
+        return len(frame) == 8 and frame[0] == ABORT and frame[1:4] in (self.mux, NO_OBJECT)
+
     def raise_abort(self, frame: bytes) -> None:
         """Raise AbortError when the frame is an abort of this transfer."""
-        if frame[0] == ABORT:
+        if self.is_abort(frame):
             code = struct.unpack_from("<I", frame, 4)[0]
             raise AbortError(f"{self.place()} refused: {abort_text(code)}", code)
+
+    def skip(self, frame: bytes) -> None:
+        """Account for a frame that is no answer, and keep what it was: where none comes, that is the error."""
+        self.skipped += 1
+        if len(frame) != 8:
+            self.instead = (
+                f"was answered with a frame of {len(frame)} bytes, expected 8 (CiA 301): it takes another firmware, or a gateway"
+                " that does not shorten frames"
+            )
+        elif frame[0] & 0xE0 in (ABORT, *self._awaited) and frame[1:4] != self.mux:
+            index, subindex = struct.unpack_from("<HB", frame, 1)
+            self.instead = (
+                f"was answered for {index:04X}h:{subindex:02X}: another master on its SDO channel, or answers later than the"
+                " time-out?"
+            )
 
     def moved(self, data_bytes: int) -> None:
         """Account for an answer that continued the transfer by so many bytes of the object."""
@@ -155,7 +177,7 @@ class Conversation:
             return False
         if self.steps and (self._by_blocks or frame[0] & 0xE0 in (0x00, 0x20)):
             return True
-        return frame[1:4] == self.mux and frame[0] & 0xE0 in (*self._awaited, ABORT)
+        return self.is_abort(frame) or (frame[1:4] == self.mux and frame[0] & 0xE0 in self._awaited)
 
     def initiate(self, *frames: bytes, answers: tuple[int, ...]) -> Transfer[bytes]:
         """Send, and return the first answer that names this index and subindex. Raises AbortError, ProtocolError.
@@ -167,15 +189,15 @@ class Conversation:
         self._by_blocks = BLOCK_UPLOAD in answers or BLOCK_DOWNLOAD in answers
         answer = yield frames
         while True:
+            self.raise_abort(answer)
             if len(answer) == 8 and answer[1:4] == self.mux:
-                self.raise_abort(answer)
                 specifier = answer[0] & 0xE0
                 if specifier in answers:
                     self.moved(0)
                     return answer
                 if specifier not in SERVER_SPECIFIERS:
                     self.fail(f"answered with command {answer[0]:02X}h", ABORT_COMMAND)
-            self.skipped += 1
+            self.skip(answer)
             answer = yield ()
 
     def segment(self, *frames: bytes, after: bytes = b"") -> Transfer[bytes]:
@@ -185,8 +207,8 @@ class Conversation:
         frame that CAN delivered twice (ISO 11898-1 allows it after an error in the last bit), and is skipped.
         """
         answer = yield frames
-        while len(answer) != 8 or answer == after or (answer[0] == ABORT and answer[1:4] not in (self.mux, b"\0\0\0")):
-            self.skipped += 1
+        while len(answer) != 8 or answer == after or (answer[0] == ABORT and not self.is_abort(answer)):
+            self.skip(answer)
             answer = yield ()
         self.raise_abort(answer)
         return answer
@@ -330,10 +352,9 @@ def _block(
         answer = yield ask
         ask = ()
         sequence = answer[0] & 0x7F if len(answer) == 8 else 0
-        if len(answer) == 8 and answer[0] == ABORT and answer[1:4] in (talk.mux, b"\0\0\0"):
-            talk.raise_abort(answer)
+        talk.raise_abort(answer)
         if sequence == 0 or (answer == before and expected == 1 < block_size):  # sequence numbers begin at 1
-            talk.skipped += 1
+            talk.skip(answer)
             continue
         before = answer
         if sequence == expected:

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from drivers.canopen import scan as canopen
 from drivers.canopen.bus import CanLink
 from drivers.clock import Clock, WallClock
-from drivers.errors import BridgeError, InputError, InstrumentLinkError, TransportError
+from drivers.errors import BridgeError, InputError, InstrumentLinkError, OtherAnswerError, TransportError
 from drivers.modbus import scan as modbus
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
@@ -66,7 +66,7 @@ def naming_who_is_there(axis: DriveAxis) -> Iterator[None]:
     """Around connecting: the error of a drive that does not answer says where it was looked for, and who answers instead."""
     try:
         yield
-    except InstrumentLinkError:
+    except (InstrumentLinkError, OtherAnswerError):
         raise
     except TransportError as error:
         there = who_is_there(axis)

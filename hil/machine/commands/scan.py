@@ -129,7 +129,7 @@ def _node_row(node: canopen.FoundNode) -> tuple[str, ...]:
     profile = "" if node.profile is None else f"profile {node.profile}"
     device = ", ".join(part for part in (node.device_name, profile) if part)
     if not node.answers_sdo:
-        device = "does not answer SDO"
+        device = node.problem or "does not answer SDO"
     identity = ":".join(
         "–" if number is None else f"{number:X}h"
         for number in (node.vendor_id, node.product_code, node.revision, node.serial)

@@ -107,6 +107,17 @@ def test_a_node_that_refuses_everything_is_there_all_the_same() -> None:
     spy.link.close()
 
 
+def test_a_node_that_answers_with_short_frames_is_there_and_told() -> None:
+    spy = spied(CanBench(node_ids=(2, 5)))
+    plain = spy.bench.slaves[5].sdo.handle
+    spy.bench.slaves[5].sdo.handle = lambda data: [answer[:6] for answer in plain(data)]  # type: ignore[method-assign]
+    first, second = scan(spy.link)
+    assert (first.answers_sdo, first.problem) == (True, "")
+    assert (second.node_id, second.answers_sdo) == (5, False)
+    assert "was answered with a frame of 6 bytes, expected 8" in second.problem
+    spy.link.close()
+
+
 def test_a_node_that_answers_late_is_not_taken_for_its_neighbour() -> None:
     late = CanFault(CanFaultKind.SDO_LATE, size=0.15, count=1)
     spy = spied(CanBench(node_ids=(5, 20), faults={5: [late]}))

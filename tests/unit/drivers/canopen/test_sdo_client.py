@@ -1,6 +1,6 @@
 """The guarded SDO client against the simulated drive, in simulated time: late, lost, foreign and refused answers."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 from hypothesis import given, settings
@@ -182,6 +182,75 @@ def test_doubled_block_acknowledgements_never_leave_wrong_data() -> None:
     with pytest.raises(ProtocolError):
         desk.sdo.write_bytes(BUFFER, 0, bytes(range(250)) * 8, block=True)
     assert desk.bench.slave.dictionary.raw((BUFFER, 0)) == b""
+    desk.close()
+
+
+# -- servers that answer otherwise ----------------------------------------------------------------------------------------
+Change = Callable[[bytes], bytes]
+
+
+def answering(change: Change, *faults: CanFault) -> Desk:
+    """Every answer of the drive is changed by this."""
+    desk = Desk(*faults)
+    plain = desk.bench.slave.sdo.handle
+    desk.bench.slave.sdo.handle = lambda data: [change(bytes(answer)) for answer in plain(data)]  # type: ignore[method-assign]
+    return desk
+
+
+def nameless(answer: bytes) -> bytes:
+    return b"\x80\0\0\0" + answer[4:] if answer[0] == 0x80 else answer
+
+
+@pytest.mark.parametrize(
+    ("refused", "code"),
+    [
+        (lambda sdo: sdo.read(Entry(0x60A9, 0, DataType.U32, "velocity unit")), 0x06020000),
+        (lambda sdo: sdo.read_bytes(0x60A9, 0, block=True), 0x06020000),
+        (lambda sdo: sdo.write(objects.QUICK_STOP_OPTION, 9), 0x06090031),
+        (lambda sdo: sdo.write_bytes(0x1008, 0, b"another name"), 0x06010002),
+    ],
+    ids=["read", "block", "expedited", "segmented"],
+)
+def test_an_abort_that_names_no_object_ends_the_only_transfer(
+    refused: Callable[[SdoClient], object], code: int
+) -> None:
+    desk = answering(nameless)
+    with pytest.raises(AbortError) as error:
+        refused(desk.sdo)
+    assert (error.value.code, desk.sdo.counters.timeouts) == (code, 0)
+    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    desk.close()
+
+
+def test_a_late_abort_that_names_no_object_is_that_of_the_write_before() -> None:
+    desk = answering(nameless, CanFault(CanFaultKind.SDO_LATE, size=0.6, count=1))
+    with pytest.raises(AbortError, match="value too high"):
+        desk.sdo.write(objects.QUICK_STOP_OPTION, 9)
+    assert desk.sdo.counters.timeouts == 1
+    desk.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda answer: answer[:5], "was answered with a frame of 5 bytes, expected 8"),
+        (lambda answer: answer[:4], "was answered with a frame of 4 bytes, expected 8"),
+        (lambda answer: answer[:1] + b"\x10\x60\x02" + answer[4:], "was answered for 6010h:02: another master"),
+        (lambda answer: b"\x80\x10\x60\x02" + answer[4:], "was answered for 6010h:02: another master"),
+    ],
+    ids=["cut", "without a value", "another object", "abort of another object"],
+)
+def test_what_came_instead_of_an_answer_is_said_and_never_that_none_came(change: Change, said: str) -> None:
+    desk = answering(change)
+    for tried in (
+        lambda: desk.sdo.read(objects.STATUSWORD),
+        lambda: desk.sdo.write(objects.HOME_OFFSET, 1),
+        lambda: desk.sdo.write(objects.QUICK_STOP_OPTION, 2),
+    ):
+        with pytest.raises(NoAnswerError) as error:
+            tried()  # type: ignore[no-untyped-call]
+        assert said in str(error.value)
+        assert "not answered in time" not in str(error.value)
     desk.close()
 
 
