@@ -15,12 +15,13 @@ from typing import Self
 
 
 class ReadingStatus(Enum):
-    """Status of a reading; only GOOD has a position."""
+    """Status of a reading; only GOOD has a position. LOST_BEFORE: the signal is back, and nobody has acknowledged its loss."""
 
     GOOD = "good"
     BEAM_LOST = "beam lost"
     HEAD_ERROR = "head error"
     OVERSPEED = "overspeed"
+    LOST_BEFORE = "its signal was lost before, and with it its zero: acknowledge_loss() uses it again"
 
 
 @dataclass(frozen=True)
@@ -89,8 +90,9 @@ class DistanceInstrument(ABC):
         Raises LinkLostError when the port is gone. A later call may find it plugged in again.
         """
 
-    def acknowledge_loss(self) -> None:  # noqa: B027 - most instruments latch no loss
-        """After a lost signal, allow positions again; their zero may be a new one."""
+    def acknowledge_loss(self) -> bool:
+        """After a lost signal, allow positions again, from another zero; whether one was lost since the last call."""
+        return False
 
     @abstractmethod
     def environment(self) -> Environment:

@@ -193,8 +193,8 @@ class RecordedInstrument(DistanceInstrument):
         self._recorder.looked(readings, self.sample_rate_hz, self.environment())
         return readings
 
-    def acknowledge_loss(self) -> None:
-        self._instrument.acknowledge_loss()
+    def acknowledge_loss(self) -> bool:
+        return self._instrument.acknowledge_loss()
 
     def environment(self) -> Environment:
         return self._instrument.environment()

@@ -102,12 +102,14 @@ class Gauge(DistanceInstrument):
             self.last_fault = event.reason
             self._latched = True
         if self._latched or isinstance(event, Fault):
-            return Reading(now_ns, ReadingStatus.HEAD_ERROR, None, self._sequence, since_ns=since_ns)
+            status = ReadingStatus.HEAD_ERROR if isinstance(event, Fault) else ReadingStatus.LOST_BEFORE
+            return Reading(now_ns, status, None, self._sequence, since_ns=since_ns)
         position_mm = self._direction * event.position_mm
         return Reading(now_ns, ReadingStatus.GOOD, position_mm, self._sequence, since_ns=since_ns)
 
-    def acknowledge_loss(self) -> None:
-        self._latched = False
+    def acknowledge_loss(self) -> bool:
+        latched, self._latched = self._latched, False
+        return latched
 
     def environment(self) -> Environment:
         """Empty: none of these instruments measures the air."""

@@ -186,7 +186,7 @@ class UmdLaser(DistanceInstrument):
         if restarted and status is ReadingStatus.GOOD:
             status = ReadingStatus.HEAD_ERROR  # it counts from another zero
         if self._latched is not None and status is ReadingStatus.GOOD:
-            status = self._latched
+            status = ReadingStatus.LOST_BEFORE
         elif status is not ReadingStatus.GOOD and self.settings.latch_loss:
             self._latched = status
         if status is not ReadingStatus.GOOD or axis is None:
@@ -204,9 +204,10 @@ class UmdLaser(DistanceInstrument):
         """Why positions are withheld although the signal may be back; None when they are not."""
         return self._latched
 
-    def acknowledge_loss(self) -> None:
+    def acknowledge_loss(self) -> bool:
         """Allow positions again; their zero is another one."""
-        self._latched = None
+        latched, self._latched = self._latched, None
+        return latched is not None
 
     # -- environment -------------------------------------------------------------------------------------------------
     def _hear(self, code: int, data: int, now_ns: int) -> None:

@@ -14,7 +14,6 @@ from typing import TypeVar
 
 import numpy as np
 
-from drivers.drive import DriveState
 from drivers.errors import InputError, MeasurementLostError
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command
@@ -300,9 +299,7 @@ def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostEr
         try:
             session.acknowledge_loss()
             session.watch(STEADY_S)
-            if session.drive.sample().state is not DriveState.ENABLED:
-                session.drive.disable()  # a quick stop holds the drive until it is disabled
-                session.drive.enable()
+            session.supervisor.enable()
             refuse_while_drive_corrects(session.drive)
             session.take_datum(signal_was_lost=True)
         except MeasurementLostError:

@@ -152,8 +152,9 @@ class AxisSession:
 
     @contextmanager
     def one_job(self) -> Iterator[None]:
-        """Run one of several jobs on one connection. It begins as if the session had just been entered, without a correction. At its
-        end the axis is stopped where the job failed, and disabled unless it was enabled at the begin.
+        """Run one of several jobs on one connection. It begins as if the session had just been entered, without a correction; who
+        begins it acknowledges a signal that was lost. At its end the axis is stopped where the job failed, and disabled unless it was
+        enabled at the begin.
 
         An axis that an earlier job has homed is not homed again unless its drive was in a fault since: a method that takes the present
         position for home would move the zero.
@@ -161,6 +162,7 @@ class AxisSession:
         self._keeps_home = self._homed_here and self.drive.sample().homed is True
         self._datum_mm = None
         self.time_offset_s = 0.0
+        self.acknowledge_loss()
         self.supervisor.begin()
         self.command_state.forget()
         self.compensation = None
@@ -335,8 +337,10 @@ class AxisSession:
         self.supervisor.move(position_load_mm, velocity_mm_s, slice_s=slice_s, look=look)
 
     def acknowledge_loss(self) -> None:
-        """Read positions again after a lost signal; the instrument's zero may have changed."""
-        self.axis.acknowledge_loss()
+        """Read positions again after a lost signal, whose cause somebody has removed. The instrument counts from another zero:
+        `prepare` or `take_datum` comes next."""
+        if self.axis.acknowledge_loss() and self.zero is not None:
+            self.zero.signal_was_lost = True
 
     def approach(self, position_mm: float) -> None:
         """Move to the position, mm, from which the next target is approached. Raises LimitError before any motion.

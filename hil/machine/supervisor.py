@@ -23,7 +23,7 @@ from drivers.errors import (
     MotionTimeoutError,
     SafetyError,
 )
-from drivers.instrument import Reading
+from drivers.instrument import Reading, ReadingStatus
 from drivers.shared_time import SharedTime
 from drivers.undo import Step, undo_all
 from hil.machine.time_out import Motion, drive_report, likely_reason
@@ -199,17 +199,17 @@ class Supervisor:
 
     # -- waiting -----------------------------------------------------------------------------------------------------
     def await_instrument(self) -> None:
-        """Wait for the first reading of the first axis's instrument; call before any motion.
+        """Wait for the first good reading of the first axis's instrument; call before any motion.
 
         Raises MeasurementLostError when none comes within `FIRST_READING_S`.
         """
         axis, deadline = self.axes[0], self.clock.deadline(FIRST_READING_S)
+        status: ReadingStatus | None = None
         with self.stopping_on_error():
-            while not axis.heard_reading():
+            while (status := axis.latest_status() or status) is not ReadingStatus.GOOD:
                 if deadline.expired:
-                    raise MeasurementLostError(
-                        f"instrument {axis.instrument_name}: no reading within {FIRST_READING_S:g} s; nothing was enabled"
-                    )
+                    what = f"no reading within {FIRST_READING_S:g} s" if status is None else status.value
+                    raise MeasurementLostError(f"instrument {axis.instrument_name}: {what}; nothing was enabled")
                 self.clock.sleep_s(SLICE_S)
 
     def watch(self, duration_s: float) -> list[Reading]:
@@ -278,9 +278,12 @@ class Supervisor:
 
     # -- motion ------------------------------------------------------------------------------------------------------
     def enable(self) -> None:
-        """Enable each axis that is not enabled. Raises what enabling raises."""
+        """Enable each axis that is not enabled; one that a quick stop holds is disabled before. Raises what enabling raises."""
         for axis in self.axes:
-            if axis.drive.sample().state is not DriveState.ENABLED:
+            state = axis.drive.sample().state
+            if state is DriveState.QUICK_STOP:
+                axis.drive.disable()
+            if state is not DriveState.ENABLED:
                 axis.drive.enable()
 
     def get_ready(self, *, home: bool) -> None:

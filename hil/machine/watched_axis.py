@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import pairwise
 
 from drivers.clock import NS_PER_S
@@ -148,11 +148,14 @@ class WatchedAxis:
             self._compared = True
             self._forget_travel()
 
-    def acknowledge_loss(self) -> None:
-        """Use the instrument again after a lost signal; its zero may have changed."""
-        if self.instrument is not None:
-            self.instrument.acknowledge_loss()
+    def acknowledge_loss(self) -> bool:
+        """Use the instrument again after a lost signal, from another zero; whether one was lost."""
         self._forget_travel()
+        if self.instrument is None:
+            return False
+        with suppress(MeasurementLostError):  # a port that is gone is told by the next look
+            self._poll()  # what has arrived may be of the loss
+        return self.instrument.acknowledge_loss()
 
     @property
     def instrument_name(self) -> str:
@@ -248,11 +251,15 @@ class WatchedAxis:
             numbered.append((number, reading))
         return numbered
 
-    def heard_reading(self) -> bool:
-        """Whether the instrument has sent a good reading since `begin`. The drive is not sampled. Raises MeasurementLostError for a
-        bad reading."""
-        self._take(self._poll(), compared=False)
-        return self._latest is not None
+    def latest_status(self) -> ReadingStatus | None:
+        """Status of the latest reading that has arrived, None for none. The drive is not sampled. Raises MeasurementLostError for an
+        instrument whose port is gone."""
+        readings = self._poll()
+        if not readings:
+            return None
+        if readings[-1].status is ReadingStatus.GOOD:
+            self._take(readings[-1:], compared=False)
+        return readings[-1].status
 
     def _poll(self) -> Sequence[Reading]:
         """New readings. Raises MeasurementLostError, not LinkLostError, when the instrument's port disappears."""

@@ -212,6 +212,8 @@ class ZeroKeeper:
         self.axis = axis
         self.anew = False
         self.instrument_zeroed = False
+        self.signal_was_lost = False
+        """Since the last reference: the instrument's origin has changed, as with `instrument_zeroed`."""
         self.homing_would_lose_zero = False
         """Found by `begin`: the axis has its zero, and a homing would lose it."""
         self.current: Zero | None = None
@@ -357,8 +359,8 @@ class ZeroKeeper:
         self._allowed = False
         found = Reference(motor_mm, instrument_mm, self._instrument, sequence, self._begun)
         before = None if self.anew else current.reference
-        counts_on = before is not None and self._counts_on(before, found, rate_hz)
-        if before is not None and counts_on and not self.instrument_zeroed:
+        zeroed = self.instrument_zeroed or self.signal_was_lost
+        if before is not None and not zeroed and self._counts_on(before, found, rate_hz):
             off_um = 1000.0 * (found.offset_mm - before.offset_mm)
             if abs(off_um) > self._within_um:
                 raise ZeroError(
@@ -367,7 +369,7 @@ class ZeroKeeper:
                     f" (hil calibrate {self._file} --new-zero), or the instrument was zeroed since (--instrument-zeroed)"
                 )
             found = before
-        elif before is not None and not self._tied and not (self._says_homed and self.instrument_zeroed):
+        elif before is not None and not self._tied and not (self._says_homed and zeroed):
             raise ZeroError(
                 f"axis {self.axis}: the instrument counts from another place than on {before.time[:16]}, the axis is not homed to a"
                 f" switch, and its drive {self._drive_statement}: nothing shows that it is the same ([axis] absolute_encoder = true"
@@ -377,10 +379,11 @@ class ZeroKeeper:
         write_zero(self.path, self.current)
         if self._campaign is not None and not (self._campaign / FILE).exists():
             write_zero(self._campaign / FILE, self.current)
-        self.anew = self.instrument_zeroed = False
+        self.anew = self.instrument_zeroed = self.signal_was_lost = False
 
     def instrument_lost(self, motor_mm: float, instrument_mm: float) -> None:
         """The signal was lost while the axis kept its zero: the instrument's origin is now that of this reading, mm."""
+        self.signal_was_lost = False
         if self.current is not None and self.current.reference is not None:
             reference = replace(self.current.reference, motor_mm=motor_mm, instrument_mm=instrument_mm, time=_now())
             self.current = replace(self.current, reference=reference)

@@ -110,12 +110,15 @@ class Silence:
     """Real time since each source was last heard, s; None for a source that is not connected or has not answered yet.
 
     has_instrument: whether the connected axis has an instrument; good: whether its last reading has a usable signal
+    drive_lost_s, instrument_lost_s: real time since each had live data last, s; since the begin where it never had
     """
 
     drive_s: float | None
     instrument_s: float | None
     has_instrument: bool
     good: bool
+    drive_lost_s: float
+    instrument_lost_s: float
 
 
 @dataclass
@@ -133,6 +136,9 @@ class Board:
     _drive_at_s: float | None = None  # real time of the last sample and of the last reading
     _instrument_at_s: float | None = None
 
+    def __post_init__(self) -> None:
+        self._drive_live_s = self._instrument_live_s = self.monotonic_s()
+
     # -- for the axis's thread -----------------------------------------------------------------------------------------
     def publish(self, live: Live) -> None:
         """Publish a state. A point of the plots is added `RATE_HZ` times per second of real time, also at an uneven rate of
@@ -142,6 +148,8 @@ class Board:
             self._mark = _mark(self._live, live) or self._mark
             self._live = live
             self._drive_at_s = now_s if live.connected else None
+            if live.connected:
+                self._drive_live_s = now_s
             if live.connected and now_s >= self._due_s:
                 self._due_s = max(self._due_s + 1.0 / RATE_HZ, now_s - 1.0 / RATE_HZ)
                 self._number += 1
@@ -161,6 +169,8 @@ class Board:
         in_load_mm = position_of(last) if last.position_mm is not None else None
         with self._lock:
             self._reading, self._instrument_at_s = last, self.monotonic_s()
+            if last.position_mm is not None:
+                self._instrument_live_s = self._instrument_at_s
             self._live = replace(
                 self._live,
                 instrument_status=last.status,
@@ -186,7 +196,10 @@ class Board:
             drive_s, instrument_s = (
                 None if at_s is None else now_s - at_s for at_s in (self._drive_at_s, self._instrument_at_s)
             )
-        return Silence(drive_s, instrument_s, bool(live.instrument), live.instrument_status is ReadingStatus.GOOD)
+            lost_s = now_s - self._drive_live_s, now_s - self._instrument_live_s
+        return Silence(
+            drive_s, instrument_s, bool(live.instrument), live.instrument_status is ReadingStatus.GOOD, *lost_s
+        )
 
     def trace(self, since: int = 0) -> tuple[TracePoint, ...]:
         """The kept points after number `since`, oldest first."""

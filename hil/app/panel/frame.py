@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 from nicegui import ui
 
+from drivers.instrument import ReadingStatus
 from hil.app.desk.desk import Desk
 from hil.app.panel.bar import Page, draw_bar, draw_rail
 from hil.app.panel.events import draw_alarm
@@ -42,7 +43,7 @@ BEAT_S = 0.1
 """Interval between two messages from which a page knows that the server is there, s: a seventh of what the page's script waits."""
 UNUSED = "backlash"
 """First word of the kinds of jobs that do not read the instrument."""
-REASONS = ("server", "drive", "unread", "connecting", "job", "instrument", "signal")
+REASONS = ("server", "drive", "unread", "connecting", "job", "instrument", "signal", "signal_back")
 """Why there is no live data: a line each under `no_data` in the texts."""
 
 
@@ -69,16 +70,19 @@ def _draw_no_data(view: View) -> None:
 
 
 def _heard(desk: Desk) -> dict[str, object]:
-    """How long ago the sources of a desk were heard, s, why they are not, and whether its axis moves or may move."""
+    """How long ago the sources of a desk were heard and were live, s, why they are not, and whether its axis moves or may move."""
     silence, live, job = desk.silence, desk.live, desk.job()
     running = job is not None and job.running
     why = {"drive": "unread" if live.connected and running else ""}  # where it is silent nevertheless
     if not live.connected and not live.trouble:
         why["drive"] = "job" if running else "connecting"
-    heard: dict[str, object] = {"drive": silence.drive_s, "busy": running or live.moving, "why": why}
+    lost = {"drive": silence.drive_lost_s, "instrument": silence.instrument_lost_s}
+    heard: dict[str, object] = {"drive": silence.drive_s, "busy": running or live.moving, "why": why, "lost": lost}
     if isinstance(desk.axis, AxisConfig):
         heard["instrument"] = silence.instrument_s if silence.good else None
-        why["instrument"] = "signal" if silence.instrument_s is not None and not silence.good else ""
+        if silence.instrument_s is not None and not silence.good:
+            back = live.instrument_status is ReadingStatus.LOST_BEFORE and not running
+            why["instrument"] = "signal_back" if back else "signal"
         if job is not None and running and job.kind.startswith(UNUSED):
             why["instrument"] = "unused"  # its figures are old, which is no alarm
     return heard

@@ -169,11 +169,15 @@ def _draw_check(view: View, page: str, check: Check) -> tuple[Element, ui.label]
     return row, text
 
 
+_USABLE = (None, ReadingStatus.GOOD, ReadingStatus.LOST_BEFORE)
+"""States of the instrument's signal with which a job can begin: it acknowledges a loss."""
+
+
 def measured_checks(view: View) -> tuple[Check, ...]:
     """Conditions of a job that measures with the instrument: its signal; and that the axis is homed by the job, if it is not yet."""
     desk = view.desk
     return (
-        Check("signal", lambda: desk.live.instrument_status in (None, ReadingStatus.GOOD)),
+        Check("signal", lambda: desk.live.instrument_status in _USABLE),
         Check("homing", lambda: desk.live.homed is not False, done_by_itself=True),
     )
 

@@ -64,9 +64,9 @@ const HIL_BEATS = 50; // five seconds of them
 let hilHeardAt = performance.now() + 1000; // when the last beat was sent, by the page's clock; of a page that has just come: time to connect
 let hilBeats = []; // of the last beats: how much later they came than they were sent, by the two clocks, ms
 let hilCut = false; // the connection was closed, as by a server that was killed
-let hilAxes = {}; // by axis: seconds since drive and instrument were heard, null for not at all; what they are lost for; busy
+let hilAxes = {}; // by axis: seconds since drive and instrument were heard, null for not at all; lost: since; why; busy
 
-// From the server, ten times a second. axes: {name: {drive, instrument, why, busy}}; sentMs: when, by the server's clock. What counts is
+// From the server, ten times a second. axes: {name: {drive, instrument, lost, why, busy}}; sentMs: when, by the server's clock. What counts is
 // when a beat was sent, not when a busy page came to read it: the quickest of the last beats tells how the two clocks differ.
 function hilBeat(axes, sentMs) {
   hilBeats = [...hilBeats, performance.now() - sentMs].slice(-HIL_BEATS);
@@ -111,12 +111,15 @@ function hilSilentMs(name, source) {
 
 const hilLostSince = new Map(); // "axis.source" -> time of day, ms
 
-// Whether a source is gone; its first moment is kept for the banner.
+// Whether a source is gone; its first moment is kept for the banner: it is the server's, so that another page tells the same.
 function hilGone(name, source) {
   const ms = hilSilentMs(name, source), key = `${name}.${source}`;
   const gone = hilServerLost() || (source !== "server" && ms > HIL_SILENT_MS);
   if (!gone) hilLostSince.delete(key);
-  else if (!hilLostSince.has(key)) hilLostSince.set(key, Date.now() - (Number.isFinite(ms) ? ms : 0));
+  else if (!hilLostSince.has(key)) {
+    const lost = hilServerLost() ? undefined : hilAxes[name]?.lost?.[source];
+    hilLostSince.set(key, Date.now() - (lost === undefined ? ms : 1000 * lost));
+  }
   return gone;
 }
 

@@ -222,3 +222,27 @@ def test_over_the_wire_the_beam_is_lost_and_the_rows_are_still_the_truth(tmp_pat
     off_um = (records.measured_mm - np.array(true_mm)) * 1000.0
     assert len(off_um) == 8
     assert np.ptp(off_um) < 0.3
+
+
+@pytest.mark.parametrize("face", ["virtual", "canopen", "modbus-rtu"])
+def test_a_script_acknowledges_a_loss_and_prepares_anew(face: str, tmp_path: Path) -> None:
+    """The error names what it has to call; without it no motion begins, with it the datum is where it was."""
+    path = lay_out(tmp_path, sections=4)
+    text = path.read_text(encoding="utf-8").replace("[drive]\n", f'[drive]\nface = "{face}"\n')
+    path.write_text(text, encoding="utf-8")
+    axis = load_axis(path)
+    loss = Fault(FaultKind.BEAM_LOST, at_s=45.0, duration_s=0.5)
+    with connected(axis, replace(bench_parameters(axis), laser_faults=(loss,))) as machine:
+        session = machine.session
+        session.prepare()
+        with pytest.raises(MeasurementLostError, match="beam lost"):
+            session.watch(60.0)
+        session.clock.sleep_s(0.6)
+        before_mm = session.drive.sample().position_load_mm
+        with pytest.raises(MeasurementLostError, match=r"acknowledge_loss\(\)"):
+            session.prepare()
+        assert session.drive.sample().state is not DriveState.ENABLED
+        assert session.drive.sample().position_load_mm == pytest.approx(before_mm, abs=0.001)
+        session.acknowledge_loss()
+        session.prepare()
+        assert session.read_position().position_load_mm == pytest.approx(axis.measurement.reference_mm, abs=0.05)

@@ -3,15 +3,17 @@
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import pytest
+from support import bench_axis
 from support.backlash_axis import BenchBehind, lay_out, look_behind
 
 from drivers.clock import NS_PER_S, Waiting
 from drivers.drive import DriveState
 from drivers.errors import LinkLostError, StateError
+from drivers.instrument import ReadingStatus
 from hil.app.desk import axis_thread
 from hil.app.desk.axis_thread import Connection, to_axis
 from hil.app.desk.control import NotInControlError
@@ -20,11 +22,13 @@ from hil.app.desk.progress import Phase, Progress
 from hil.app.desk.roles import LockedError
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Plan
-from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.axis.axis_file import DriveAxis, load_axis, load_drive_axis
 from hil.machine.events import Event, Measured, Point
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
+from hil.machine.wiring import bench_parameters, connected
 from sim_backends.clock import BEAT_NS
+from sim_backends.faults import Fault, FaultKind
 
 Until = Callable[[Callable[[], bool], str], None]
 SPEED_MM_S, END_MM = 30.0, 100.0
@@ -399,3 +403,46 @@ def test_two_axes_for_one_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, u
         y.run(tokens[1], Job("test", Plan("Y", "bench"), long_way))
         until(lambda: not y.job().running, "Y's own job")  # type: ignore[union-attr]
         assert y.job().phase is Phase.DONE  # type: ignore[union-attr]
+
+
+# -- a lost beam ---------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("face", ["virtual", "canopen", "modbus-tcp"])
+def test_after_a_lost_beam_nothing_goes_on_until_a_person_begins_a_job(face: str, tmp_path: Path, until: Until) -> None:
+    """A hand through the beam: the laser counts from another zero afterwards. The job that is begun then takes it anew."""
+    path = bench_axis.lay_out(tmp_path, sections=4)
+    text = path.read_text(encoding="utf-8").replace("[drive]\n", f'[drive]\nface = "{face}"\n')
+    path.write_text(text, encoding="utf-8")
+    axis = load_axis(path)
+    loss = Fault(FaultKind.BEAM_LOST, at_s=45.0, duration_s=0.3)
+    bench = replace(bench_parameters(axis), laser_faults=(loss,))
+
+    @contextmanager
+    def connect(waiting: Waiting) -> Iterator[Connection]:
+        with connected(axis, bench, waiting=waiting) as machine:
+            yield Connection(machine.session.drive, machine.session)
+
+    def measured(place: Workplace) -> float:
+        session = place.machine().session
+        session.prepare()
+        while session.clock.now_ns() < 46 * NS_PER_S:
+            for target_mm in axis.measurement.targets_mm[:2]:
+                session.move_to(target_mm)
+        session.move_to(axis.measurement.reference_mm)
+        return session.read_position().position_load_mm - axis.measurement.reference_mm
+
+    with Desk(axis, pace=0.0, connect=connect) as desk:
+        until(lambda: desk.live.connected, "the axis is connected")
+        at = Watched(desk, desk.control.take("test"), BenchBehind(), until)
+        ended = at.run(measured)
+        assert ended.phase is Phase.FAILED
+        assert "beam lost" in ended.error
+        until(lambda: desk.live.instrument_status is ReadingStatus.LOST_BEFORE, "the beam is back")
+        lost_s = desk.silence.instrument_lost_s
+        until(lambda: desk.silence.instrument_lost_s > lost_s + 0.2, "it is told since when there is no position")
+        assert not desk.live.moving
+        assert desk.live.state is not DriveState.ENABLED
+        again = at.run(measured)
+        assert again.phase is Phase.DONE, again.error
+        assert abs(again.result) < 0.05
+        until(lambda: desk.live.instrument_status is ReadingStatus.GOOD, "the signal is shown again")
+        assert desk.silence.instrument_lost_s < lost_s
