@@ -95,6 +95,25 @@ class Iso230:
         """The axis figures by name, in the order of `FIGURES`, µm."""
         return {name: getattr(self, name) for name in FIGURES}
 
+    def curves(self) -> dict[str, tuple[Floats, ...]]:
+        """Each axis figure that there is, but for the mean B̄, as curves of shape (m,): it is the sum of their highest values, µm."""
+        found: dict[str, tuple[Floats, ...]] = {}
+        for name, mean, s in (("up", self.mean_up, self.s_up), ("down", self.mean_down, self.s_down)):
+            if mean is not None:
+                found[f"E_{name}"] = (mean, -mean)
+            if mean is not None and s is not None:
+                found[f"A_{name}"] = (mean + 2 * s, 2 * s - mean)
+        for name in ("A", "E"):
+            up, down = found.get(f"{name}_up"), found.get(f"{name}_down")
+            if up is not None and down is not None:
+                found[name] = (np.maximum(up[0], down[0]), np.maximum(up[1], down[1]))
+        if self.mean is not None and self.B_i is not None:
+            found |= {"M": (self.mean, -self.mean), "B": (np.abs(self.B_i),)}
+        for name, R in (("R", self.R_i), ("R_up", self.R_up_i), ("R_down", self.R_down_i)):
+            if R is not None:
+                found[name] = (R,)
+        return found
+
     def as_json(self) -> dict[str, object]:
         """Plain JSON form: m, n, figures_um by name, one entry per target, notes."""
         columns = {

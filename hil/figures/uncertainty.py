@@ -19,7 +19,8 @@ With U_L² the sum of the first four squared, and u = U_EVE:
     E↑ E↓ E: √(U_L² + 2u²/n)      M: √(U_L² + u²/n)      B: √(2u²/n)      B̄: √(2u²/(n·m))
     R↑ R↓: 2u                     R: √(4u² + 2u²/n)      A↑ A↓ A: √(U_E² + 4u²)
 
-The figures are those of the runs that were made; how they would scatter in a repeated campaign is not included.
+To the square of each that of the choice of targets is added, `hil.figures.target_choice`: a figure stands for the axis, and not for
+the targets at which it happened to be measured. How the figures would change on another day is not included.
 
 Against a limit they are decided by the rule of ISO 14253-1: `conformity`.
 """
@@ -28,14 +29,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 
 from drivers.errors import InputError
 from drivers.toml_types import NotNegative
-from hil.figures.iso230 import Iso230
+from hil.figures import target_choice
+from hil.figures.iso230 import FIGURES, Iso230
 from hil.records.rows import Records
 
 RECTANGULAR = 1.0 / math.sqrt(3.0)
@@ -75,41 +77,51 @@ class Contribution:
 
 @dataclass(frozen=True)
 class Budget:
-    """contributions: in the order of the formulas; figures_um: expanded (k = 2), by name, of the figures that the
-    campaign has.
+    """lead: the first figure that the campaign has, A where it can be; contributions: to the lead, their squares add up to that of its
+    U; figures_um: expanded (k = 2), by name, of the figures that the campaign has; targets_um: the part of each from the choice of
+    targets.
     """
 
     length_mm: float
+    lead: str
     contributions: tuple[Contribution, ...]
     figures_um: Mapping[str, float]
+    targets_um: Mapping[str, float]
 
 
 def budget(inputs: UncertaintyInputs, figures: Iso230, records: Records) -> Budget:
     """The uncertainty budget of one campaign (ISO/TR 230-9).
 
-    Raises InputError where R(α) is given and neither the records nor the inputs give the distance from 20 °C.
+    Raises InputError where R(α) is given and neither the records nor the inputs give the distance from 20 °C, where nothing is stated
+    but zeros, and for too few targets to show what their choice changes.
     """
+    if figures.m < target_choice.FEWEST:
+        fewest = target_choice.FEWEST
+        raise InputError(
+            f"{figures.m} targets do not show what another choice would change, expected at least {fewest}"
+        )
     length_m = float(np.ptp(figures.target_mm)) / 1000.0
     stretch = _stretching(inputs, length_m, records)
     variation = Contribution(
         "environment", f"range of a drift test {inputs.variation_um:g} µm", RECTANGULAR * inputs.variation_um
     )
-    stretched = sum(part.expanded_um**2 for part in stretch)
-    u2, n, m = variation.expanded_um**2, figures.n, figures.m
-    mean, error = u2 / n, stretched + 2.0 * u2 / n
-    squares = {
-        "A": error + 4.0 * u2,
-        "E": error,
-        "M": stretched + mean,
-        "R_up": 4.0 * u2,
-        "R": 4.0 * u2 + 2.0 * mean,
-        "B": 2.0 * mean,
-        "B_mean": 2.0 * mean / m,
-    }
-    squares |= {f"{name}_{one}": squares[name] for name in ("A", "E") for one in ("up", "down")}
-    squares["R_down"] = squares["R_up"]
-    known = {name: math.sqrt(squares[name]) for name, value in figures.figures().items() if value is not None}
-    return Budget(1000.0 * length_m, (*stretch, variation), known)
+    if not any(one.expanded_um for one in (*stretch, variation)):
+        raise InputError("[uncertainty] states nothing but zeros of instrument and room")
+    stretched, n, m = sum(part.expanded_um**2 for part in stretch), figures.n, figures.m
+    approaches = {"A": 4 + 2 / n, "E": 2 / n, "M": 1 / n, "R": 4 + 2 / n, "B": 2 / n, "B_mean": 2 / (n * m)}
+    approaches |= {f"{name}_{one}": approaches[name] for name in ("A", "E") for one in ("up", "down")}
+    approaches |= {"R_up": 4, "R_down": 4}
+    targets = {name: target_choice.highest_um(curves) for name, curves in figures.curves().items()}
+    if figures.B_i is not None:
+        targets["B_mean"] = target_choice.mean_um(figures.B_i)
+    known: dict[str, float] = {}
+    for name, part in targets.items():
+        along = stretched if name[0] in "AEM" else 0.0
+        known[name] = math.sqrt(along + approaches[name] * variation.expanded_um**2 + part**2)
+    lead = next(name for name in FIGURES if name in known)
+    entering = replace(variation, expanded_um=math.sqrt(approaches[lead]) * variation.expanded_um)
+    choice = Contribution("choice of targets", f"by the scatter between neighbours of {m} targets", targets[lead])
+    return Budget(1000.0 * length_m, lead, (*stretch, entering, choice), known, targets)
 
 
 def budget_um(inputs: UncertaintyInputs | None, figures: Iso230, records: Records) -> Mapping[str, float]:

@@ -8,15 +8,16 @@ U is the expanded uncertainty at k = 2 by ISO/TR 230-9 (`uncertainty.budget`), t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any
 
 import numpy as np
 
 from drivers.errors import InputError
-from hil.figures.iso230 import TARGET_RESOLUTION_MM, iso230
-from hil.figures.uncertainty import CONFORMITY_RULE, UncertaintyInputs, budget, conformity
+from hil.figures import target_choice
+from hil.figures.iso230 import TARGET_RESOLUTION_MM, Iso230, iso230
+from hil.figures.uncertainty import CONFORMITY_RULE, Contribution, UncertaintyInputs, budget, conformity
 from hil.records.rows import Records
 
 K = 2
@@ -47,11 +48,20 @@ class Decision(Enum):
 
 
 @dataclass(frozen=True)
+class Mean:
+    """Mean error of all targets, µm, and by how much another choice of targets would change it (k = 2)."""
+
+    value_um: float
+    U_um: float
+
+
+@dataclass(frozen=True)
 class Accuracy:
     """The accuracy A of one pass, µm.
 
     A_um: None where the rows cannot give it; U_um: expanded uncertainty (k = 2), None where nothing is stated of the instrument;
-    limit_um: largest A that is allowed, None without one; missing: why A or U is None, else ""
+    limit_um: largest A that is allowed, None without one; missing: why A or U is None, else ""; parts: of U, their squares add up;
+    mean: None for too few targets
     """
 
     A_um: float | None
@@ -59,6 +69,8 @@ class Accuracy:
     limit_um: float | None
     at: At
     missing: str = ""
+    parts: tuple[Contribution, ...] = ()
+    mean: Mean | None = None
 
     @property
     def decision(self) -> Decision:
@@ -104,13 +116,32 @@ class Accuracy:
         return f"A = {self.value} µm {self.at.value}; {self.reason}"
 
     def explained(self) -> tuple[str, ...]:
-        """Sentences below the verdict: what ± is or why there is none, and the rule where it was used."""
-        known = PLUS_MINUS if self.U_um is not None and self.A_um is not None else f"no U: {self.missing}"
+        """Sentences below the verdict: what ± is and from what or why there is none, whether the mean has moved, and the rule where it
+        was used."""
+        known = (f"no U: {self.missing}",) if self.U_um is None or self.A_um is None else (PLUS_MINUS, *self._made_of())
         ruled = self.decision in (Decision.PASS, Decision.FAIL, Decision.UNDECIDED)
-        return (known, f"decision rule: {CONFORMITY_RULE}") if ruled else (known,)
+        return (*known, *self._moved(), *((f"decision rule: {CONFORMITY_RULE}",) if ruled else ()))
+
+    def _made_of(self) -> tuple[str, ...]:
+        """The parts of U, the largest first and with its source."""
+        shown = sorted((one for one in self.parts if round(one.expanded_um, 2)), key=lambda one: -one.expanded_um)
+        told = [f"{one.name} {one.expanded_um:.2f}" for one in shown]
+        if not told:
+            return ()
+        told[0] += f" ({shown[0].how})"
+        return (f"U in µm from {', '.join(told)}; their squares add up",)
+
+    def _moved(self) -> tuple[str, ...]:
+        """Said of a verification whose mean differs from zero by more than another choice of targets would change."""
+        mean = self.mean
+        if self.at is not At.OTHER or mean is None or abs(mean.value_um) <= mean.U_um:
+            return ()
+        where = f"the mean is {mean.value_um:+.2f} ± {mean.U_um:.2f} µm from the tables' zero"
+        return (f"{where}: the datum drifted or the axis expanded; A, a range, does not contain it",)
 
     def as_json(self) -> dict[str, Any]:
-        """Plain JSON form, µm: A_um, U_um, k, limit_um, targets (see `At`), decision, rule, missing."""
+        """Plain JSON form, µm: A_um, U_um, k, limit_um, targets (see `At`), decision, rule, missing, mean_um, mean_U_um, and
+        parts_um, those of U by name."""
         return {
             "A_um": self.A_um,
             "U_um": self.U_um,
@@ -120,6 +151,9 @@ class Accuracy:
             "decision": self.decision.value,
             "rule": CONFORMITY_RULE,
             "missing": self.missing,
+            "mean_um": None if self.mean is None else self.mean.value_um,
+            "mean_U_um": None if self.mean is None else self.mean.U_um,
+            "parts_um": {one.name: one.expanded_um for one in self.parts},
         }
 
 
@@ -141,17 +175,23 @@ def accuracy(
         figures = iso230(records)
     except InputError as error:
         return Accuracy(None, None, limit_um, at, error.what)
+    known = Accuracy(figures.A, None, limit_um, at, mean=_mean(figures))
     if figures.A is None:
-        return Accuracy(None, None, limit_um, at, "; ".join(figures.notes[:1]))
+        return replace(known, missing="; ".join(figures.notes[:1]))
     if inputs is None:
-        return Accuracy(figures.A, None, limit_um, at, "the axis file has no [uncertainty] of instrument and room")
+        return replace(known, missing="the axis file has no [uncertainty] of instrument and room")
     try:
-        known = budget(inputs, figures, records).figures_um["A"]
+        found = budget(inputs, figures, records)
     except InputError as error:
-        return Accuracy(figures.A, None, limit_um, at, error.what)
-    if known == 0.0:
-        return Accuracy(figures.A, None, limit_um, at, "[uncertainty] states nothing but zeros of instrument and room")
-    return Accuracy(figures.A, known, limit_um, at)
+        return replace(known, missing=error.what)
+    return replace(known, U_um=found.figures_um["A"], parts=found.contributions)
+
+
+def _mean(figures: Iso230) -> Mean | None:
+    means = next((one for one in (figures.mean, figures.mean_up, figures.mean_down) if one is not None), None)
+    if means is None or len(means) < target_choice.FEWEST:
+        return None
+    return Mean(float(np.mean(means)), target_choice.mean_um(means))
 
 
 def targets_of(records: Records, calibrated_mm: Sequence[float] | None, *, corrected: bool | None = None) -> At:

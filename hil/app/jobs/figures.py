@@ -12,11 +12,12 @@ from hil.records.rows import Records
 
 
 def error_figures(records: Records) -> dict[str, Any]:
-    """RMS and peak of the error as measured, and ISO 230-2 A, R, B and M where the rows allow them; µm."""
+    """RMS, mean and peak of the error as measured, and ISO 230-2 A, R, B and M where the rows allow them; µm."""
     error = records.error_um
     figures: dict[str, Any] = {
         "rows": len(records),
         "rms_um": float(np.sqrt(np.mean(error**2))),
+        "mean_um": float(np.mean(error)),
         "peak_um": float(np.max(np.abs(error))),
     }
     try:

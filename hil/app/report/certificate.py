@@ -22,13 +22,14 @@ from hil.app.report.blocks import Block, Bullets, Drawing, Facts, Heading, Parag
 from hil.app.report.data import NamedCampaign, environment
 from hil.app.report.document import symbol
 from hil.app.report.svg import Ground, Theme
+from hil.app.report.uncertainty import budget_of
 from hil.app.report.views import list_of, object_of, objects_of, value_of
 from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.axis.certificate import CertificateConfig, Device, Party
 from hil.diagnosis.report.diagnosis import opening, percent, with_unit
 from hil.figures.iso230 import FIGURES, Iso230
 from hil.figures.iso230_4 import MEANINGS as CIRCULAR
-from hil.figures.uncertainty import CONFORMITY_RULE, Budget, Conformity, budget, conformity
+from hil.figures.uncertainty import CONFORMITY_RULE, Budget, Conformity, conformity
 from hil.figures.verdict import At, targets_of
 from hil.lost_motion.circle.figures import Trace
 from hil.lost_motion.circle.report import CircleReport, polar_plot
@@ -182,8 +183,8 @@ def positioning(common: Common, campaign: NamedCampaign) -> Certificate:
             " measure with `hil verify`",
             path=campaign.source or None,
         )
-    inputs = uncertainty_of(common.axis)
-    known = None if inputs is None else budget(inputs, figures, campaign.records)
+    known = budget_of(campaign, uncertainty_of(common.axis))
+    why = known if isinstance(known, str) else "the axis file has no [uncertainty]" if known is None else ""
     stated = tuple(
         Stated(name, FIGURES[name], value, "µm", _expanded(known, name), common.limit if name == "A" else None)
         for name, value in figures.figures().items()
@@ -222,8 +223,10 @@ def positioning(common: Common, campaign: NamedCampaign) -> Certificate:
         series=Series("per target", columns),
         surroundings=environment(campaign.records),
         conditions=_conditions(campaign.records),
-        notes=(*figures.notes, *(() if known is not None else ("the axis file has no [uncertainty]: U is not known",))),
-        sources=() if known is None else tuple((one.name, one.how, one.expanded_um) for one in known.contributions),
+        notes=(*figures.notes, *((f"U is not known: {why}",) if why else ())),
+        sources=tuple((one.name, one.how, one.expanded_um) for one in known.contributions)
+        if isinstance(known, Budget)
+        else (),
         drawings=(Drawing("error", "error", draw, "Error against position", caption),),
     )
 
@@ -296,8 +299,8 @@ def _rms(records: Records) -> tuple[float, str, float]:
     return rms, "µm", 2.0 * rms / float(np.sqrt(2 * len(records)))
 
 
-def _expanded(known: Budget | None, name: str) -> float | None:
-    return None if known is None else known.figures_um.get(name) or None
+def _expanded(known: Budget | str | None, name: str) -> float | None:
+    return known.figures_um.get(name) or None if isinstance(known, Budget) else None
 
 
 def _conditions(records: Records) -> dict[str, tuple[str, float, float]]:
@@ -392,7 +395,14 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
     ]
     if certificate.sources:
         lines = tuple((name, markup.number(value), how) for name, how, value in certificate.sources)
-        parts.append(Table(("Contribution", "U, µm (k = 2)", ""), lines, "meaning", "Uncertainty of measurement"))
+        parts.append(
+            Table(
+                ("Contribution", "U, µm (k = 2)", ""),
+                lines,
+                "meaning",
+                "Uncertainty of measurement, of A; the squares add up",
+            )
+        )
     remarks = (*certificate.notes, *config.notes)
     return [
         *parts,

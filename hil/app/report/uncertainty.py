@@ -40,11 +40,14 @@ def section(budgets: Sequence[Budget | str | None], labels: Sequence[str]) -> li
         elif known is not None:
             rows = tuple((one.name, markup.number(one.expanded_um), one.how) for one in known.contributions)
             head = ("Contribution", "U, µm (k = 2)", "")
-            parts.append(Table(head, rows, "meaning", f"{label}: over {known.length_mm:g} mm"))
+            of = known.lead.replace("_up", "↑").replace("_down", "↓")
+            parts.append(
+                Table(head, rows, "meaning", f"{label}: to {of} over {known.length_mm:g} mm; the squares add up")
+            )
     if not parts:
         return []
     lead = (
-        "Figures stand with their expanded uncertainty (k = 2), from the contributions of ISO/TR 230-9 propagated to each. How they"
-        " would scatter if the campaign were made again is not in it."
+        "Figures stand with their expanded uncertainty (k = 2): the contributions of ISO/TR 230-9 propagated to each, and what another"
+        " choice of targets would change. What another day would change is not in it."
     )
     return [Heading("Uncertainty of measurement"), said(lead), *parts]

@@ -34,7 +34,8 @@ def print_findings(diagnosis: Diagnosis) -> None:
 
 def print_stages(stages: Mapping[str, Mapping[str, Any]], title: str | None = None) -> None:
     """Print a table with one line per stage of a job. stages: stage -> figures, µm."""
-    columns = {"rows": "rows", "rms_um": "RMS", "peak_um": "peak", "A_um": "A", "R_um": "R", "B_um": "B", "M_um": "M"}
+    columns = {"rows": "rows", "rms_um": "RMS", "peak_um": "peak", "mean_um": "mean"}
+    columns |= {f"{name}_um": name for name in "ARBM"}
     rows = [
         [name, *(str(figures["rows"]) if key == "rows" else number(figures.get(key)) for key in columns)]
         for name, figures in stages.items()

@@ -31,6 +31,7 @@ def rows(targets_mm: tuple[float, ...], *, corrected: bool = True) -> Records:
 
 
 def test_the_uncertainty_is_the_certificate_over_the_length_where_nothing_else_is_stated() -> None:
+    """The errors of all targets are one and the same, so their choice adds nothing."""
     found = accuracy(rows(TARGETS), PROVING, 9.0, (0.0, 100.0))
     assert found.at is At.OTHER
     assert found.U_um == pytest.approx(0.3 + 1.0 * LENGTH_M)  # a + b·L, by hand
@@ -85,3 +86,30 @@ def test_without_a_limit_it_says_so_and_what_the_accuracy_is() -> None:
     found = Accuracy(6.16, 0.5, None, At.OTHER)
     assert str(found) == "A = 6.16 ± 0.50 µm at other targets; no limit given, so neither pass nor fail"
     assert found.explained() == ("± is the expanded uncertainty U (k = 2, about 95 %)",)
+
+
+def test_it_says_what_u_is_made_of_the_largest_part_first_with_its_source() -> None:
+    found = accuracy(rows(TARGETS), UncertaintyInputs(device_um=0.3, misalignment_mm=0.7), 9.0, (0.0, 100.0))
+    assert (
+        "U in µm from misalignment 0.74 (beam within 0.7 mm sideways), device 0.30; their squares add up"
+        in found.explained()
+    )
+    parts = found.as_json()["parts_um"]
+    assert sum(part**2 for part in parts.values()) == pytest.approx((found.U_um or 0.0) ** 2)
+
+
+def test_a_mean_that_has_moved_is_said_of_a_verification_alone() -> None:
+    """The mean of 1.5 - 3/2 is 0: nothing is said of it; with the datum 2 µm aside it is."""
+    aside = rows(TARGETS).with_column("measured_mm", rows(TARGETS)["measured_mm"] - 0.002)
+    for records, tables_mm, says in (
+        (rows(TARGETS), (0.0, 100.0), False),
+        (aside, (0.0, 100.0), True),
+        (aside, TARGETS, False),
+        (rows(TARGETS, corrected=False), (0.0, 100.0), False),
+    ):
+        found = accuracy(records, PROVING, 9.0, tables_mm)
+        assert any("from the tables' zero" in one for one in found.explained()) == says
+    found = accuracy(aside, PROVING, 9.0, (0.0, 100.0))
+    assert found.as_json()["mean_um"] == pytest.approx(-2.0)
+    assert any(one.startswith("the mean is -2.00 ± 0.00 µm from the tables' zero") for one in found.explained())
+    assert found.A_um == accuracy(rows(TARGETS), PROVING, 9.0, (0.0, 100.0)).A_um
