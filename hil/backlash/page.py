@@ -10,7 +10,7 @@ from functools import partial
 from nicegui import ui
 
 from drivers.errors import StateError
-from hil.app.panel.pieces import Check, Reading, draw_ready, draw_where
+from hil.app.panel.pieces import Check, Reading, draw_ready, draw_where, lead
 from hil.app.panel.plots import JobPlot
 from hil.app.panel.view import View
 from hil.axis.backlash import BacklashConfig
@@ -148,6 +148,7 @@ def _draw_buttons(view: View) -> Refresh:
         ready()
         start_button.allow(view.why_not())
         of_builder = view.why_not(builder=True)
+        lead(write_button if shown.to_write else start_button, [start_button, write_button])
         write_button.allow(of_builder or ("" if shown.mean_um is not None else t("why.measured_before")))
         switch_button.allow(of_builder or ("" if shown.parameter is not None else t("why.not_read")))
         restore_button.allow(view.why_not() if shown.interrupted else of_builder)

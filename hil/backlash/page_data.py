@@ -27,6 +27,7 @@ class BacklashScreen:
 
     by_direction_um: mean of the runs so far, by the direction after the reversal; mean_um: the value to be written,
     only of a complete measurement; warning: in English, "" for none; interrupted: a measurement left the drive's settings changed
+    written: its mean was written since
     """
 
     measurement: Progress | None
@@ -35,6 +36,12 @@ class BacklashScreen:
     mean_um: float | None
     warning: str
     interrupted: bool = False
+    written: bool = False
+
+    @property
+    def to_write(self) -> bool:
+        """Whether a mean was measured that was not written yet."""
+        return self.mean_um is not None and not self.written
 
 
 @dataclass(frozen=True)
@@ -79,7 +86,10 @@ def backlash_screen(desk: Desk) -> BacklashScreen:
     if interrupted:
         warning = "an interrupted measurement left the drive's backlash settings changed: restore them"
     by_direction = {direction: _mean(measurement, direction) for direction in NAMES}
-    return BacklashScreen(measurement, _parameter(desk), by_direction, found_um, warning or "", interrupted)
+    wrote = desk.last(backlash.WRITE)
+    written = wrote is not None and measurement is not None and wrote.number > measurement.number
+    written = written and wrote is not None and wrote.phase is Phase.DONE
+    return BacklashScreen(measurement, _parameter(desk), by_direction, found_um, warning or "", interrupted, written)
 
 
 def _mean(measurement: Progress | None, direction: int) -> float | None:

@@ -14,7 +14,7 @@ from drivers.errors import CapabilityError, InputError, StateError, UnprovenErro
 from drivers.files import replace_file
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.plan import Move, Plan, Write, measuring_plan
+from hil.app.jobs.plan import Move, Plan, Write, going_on, measuring_plan
 from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.calibration.calibrate import Calibration, as_stored, calibrate
@@ -151,6 +151,8 @@ def calibration_job(
             )
 
     plan = zero.in_plan(calibration_plan(axis))
+    if resume:
+        plan = going_on(plan, axis.store.directory, CALIBRATE)
     beside = [
         Write(name, str(Part.of(table.value_um)))
         for name, table in (("straightness", straightness), ("backlash", backlash))
@@ -474,10 +476,12 @@ def verification_job(
                 result = run_verification(machine, compensation, place.listener, seed=seed, resume=resume)
         return Verified(compensation, result)
 
-    plan = zero.in_plan(verification_plan(axis, seed))
+    plan, kind = zero.in_plan(verification_plan(axis, seed)), VERIFY if corrected else UNCORRECTED
     if across is not None:
         plan = across.in_plan(plan, axis)
-    return Job(VERIFY if corrected else UNCORRECTED, plan, work, connects=across is not None)
+    if resume:
+        plan = going_on(plan, axis.store.directory, kind)
+    return Job(kind, plan, work, connects=across is not None)
 
 
 # -- straightness --------------------------------------------------------------------------------------------------------

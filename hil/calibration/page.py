@@ -17,9 +17,11 @@ from hil.app.panel.pieces import (
     Steps,
     draw_ready,
     draw_where,
+    lead,
     measured_checks,
 )
 from hil.app.panel.plots import JobPlot
+from hil.app.panel.unfinished import GoOn, draw_unfinished
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
@@ -37,8 +39,11 @@ from hil.calibration.job import (
 from hil.calibration.page_data import CalibrationScreen, Resumable, calibration_screen
 from hil.calibration.pages.result import draw_accuracy, draw_band, draw_curves, draw_figures
 from hil.calibration.pages.typed_tables import TypedTables, across_axis, across_of, asking
+from hil.figures.verdict import Decision
 
 Refresh = Callable[[], None]
+NEXT = ("reports", "diagnosis")
+"""Pages that follow a verification: one that passed, or one that failed."""
 Kept = Reading[CalibrationScreen]
 KINDS = (CALIBRATE, VERIFY, UNCORRECTED)
 SHOWN_KINDS = (*KINDS, STRAIGHTNESS, MANUAL, ENTER, WITHDRAW)
@@ -54,12 +59,14 @@ def draw(view: View) -> None:
     kept: Kept = Reading(view, partial(calibration_screen, axis))
     messages = view.messages("calibrate.messages")
     typed = TypedTables(view, axis)
+    ways: dict[str, GoOn] = {}
+    draw_unfinished(view, "calibrate", ways)
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
             parts = [
                 draw_accuracy(view, kept),
                 draw_where(view, "calibrate", lambda: view.desk.last_of(KINDS), progress=True),
-                _draw_buttons(view, axis, kept, typed),
+                _draw_buttons(view, axis, kept, typed, ways),
             ]
         with ui.element("div").classes("hil-main"):
             steps = Steps(view, "calibrate", ("found", "tables", "verified"))
@@ -127,8 +134,8 @@ def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
     return refresh
 
 
-def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) -> Refresh:
-    """Start, verify, resume, and the straightness by the instrument."""
+def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables, ways: dict[str, GoOn]) -> Refresh:
+    """Start, verify, the next step, the straightness by the instrument; and the ways to go on with interrupted work."""
     t, desk = view.t, view.desk
     zero: ZeroSwitches
 
@@ -158,7 +165,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) 
     with ui.element("div").classes("hil-buttons"):
         start = view.button("calibrate.start", start_new).classes("hil-go")
         verifying = view.button("calibrate.verify", verify)
-        resuming = {kind: view.button(f"calibrate.resume.{kind}", partial(resume, kind)) for kind in KINDS}
+        following = {page: view.button(f"calibrate.next.{page}", partial(_turn_to, view, page)) for page in NEXT}
     with view.fold("calibrate.more"):
         straightening = view.button("calibrate.straighten", measure_straightness)
         straightening.set_visibility(axis.straightness is not None)
@@ -168,24 +175,45 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables) 
         ).style("width: 14rem")
         zero = ZeroSwitches(view, "calibrate", anew=True)
 
-    def refresh() -> None:
+    def of_builder() -> str:
         store = desk.rights.store if view.in_control else None
         writable = store is not None and store.builder_key is not None
-        why_not, of_builder = view.why_not(), view.why_not(builder=True) or ("" if writable else t("why.tables"))
+        return view.why_not(builder=True) or ("" if writable else t("why.tables"))
+
+    def of_reader() -> str:
+        readable = view.in_control and desk.rights.store is not None
+        return view.why_not() or ("" if readable else t("why.tables_read"))
+
+    hindered = {CALIBRATE: of_builder, VERIFY: of_reader, UNCORRECTED: view.why_not}
+    ways |= {kind: GoOn(f"calibrate.resume.{kind}", partial(resume, kind), why) for kind, why in hindered.items()}
+
+    def refresh() -> None:
         for button in (start, straightening):
-            button.allow(of_builder)
-        verifying.allow(why_not or ("" if store is not None or not corrected.value else t("why.tables_read")))
+            button.allow(of_builder())
+        verifying.allow(of_reader() if corrected.value else view.why_not())
+        main = _next_step(kept.value)
+        lead({"calibrate": start, "verify": verifying, **following}.get(main), [start, verifying, *following.values()])
+        for page, button in following.items():
+            button.set_visibility(page == main)
         ready()
         show_correction()
         zero.refresh()
-        unfinished = {} if kept.value is None else kept.value.unfinished
-        readable = why_not or ("" if store is not None else t("why.tables_read"))
-        hindered = {CALIBRATE: of_builder, VERIFY: readable, UNCORRECTED: why_not}
-        for kind, button in resuming.items():
-            button.set_visibility(kind in unfinished)
-            button.allow(hindered[kind])
 
     return refresh
+
+
+def _next_step(screen: CalibrationScreen | None) -> str:
+    """What comes next by what is on disk: "calibrate", "verify", or a page of `NEXT`; "" where interrupted work is gone on with."""
+    if screen is None or screen.unfinished:
+        return ""
+    if screen.verified is None:
+        return "verify" if screen.tables or "after" in screen.stages else "calibrate"
+    found = screen.verified.accuracy
+    return "diagnosis" if found is not None and found.decision is Decision.FAIL else "reports"
+
+
+def _turn_to(view: View, page: str) -> None:
+    ui.navigate.to(f"/axis/{view.desk.name}/{page}")
 
 
 def _draw_correction_switch(view: View) -> tuple[ui.switch, Refresh]:

@@ -14,9 +14,9 @@ from typing import Any
 from drivers.errors import StateError
 from hil.app.jobs.identity import drive_in_words
 from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.plan import Move, Plan, Write
+from hil.app.jobs.plan import Move, Plan, Write, going_on
 from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
-from hil.axis.axis_file import AxisConfig, DriveAxis
+from hil.axis.axis_file import AxisConfig
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import Rise, Shape
@@ -139,6 +139,8 @@ def measuring_job(
         return measured
 
     plan = zero.in_plan(measuring_plan(axis, how, seed))
+    if resume:
+        plan = going_on(plan, axis.store.directory, CAMPAIGN)
     return Job(MEASURE, plan, work, reached=lambda measured: measured.result.good or measured.result.needless)
 
 
@@ -160,11 +162,6 @@ PROVING, PROOF = ("before", "after"), "proof "
 SEALED = (
     "the stored tables are sealed: what is measured now cannot be stored beside them without their reading password"
 )
-
-
-def unfinished(axis: DriveAxis) -> bool:
-    """Whether there is an interrupted measurement to resume."""
-    return Campaign.unfinished(axis.store.directory, CAMPAIGN) is not None
 
 
 # -- store ---------------------------------------------------------------------------------------------------------------

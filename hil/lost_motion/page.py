@@ -10,8 +10,9 @@ from functools import partial
 from nicegui import ui
 
 from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, measured_checks
+from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
 from hil.app.panel.plots import JobPlot
+from hil.app.panel.unfinished import GoOn, draw_unfinished
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
@@ -24,7 +25,6 @@ from hil.lost_motion.page_data import (
     kept_lost_motion,
     lost_motion_screen,
     proof_points,
-    resumable,
     rise_curves,
 )
 from hil.lost_motion.procedure import rms
@@ -40,6 +40,8 @@ def draw(view: View) -> None:
         view.named(ui.label(view.t("lost_motion.no_instrument")).classes("hil-note"), "lost_motion.no_instrument")
         return
     messages = view.messages("lost_motion.messages")
+    ways: dict[str, GoOn] = {}
+    interrupted = draw_unfinished(view, "lost_motion", ways)
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
             kept = Reading(view, partial(kept_lost_motion, axis))
@@ -47,7 +49,7 @@ def draw(view: View) -> None:
                 _draw_found(view, kept),
                 _draw_proof(view, kept),
                 draw_where(view, "lost_motion", lambda: lost_motion_screen(view.desk).measurement),
-                _draw_buttons(view, axis),
+                _draw_buttons(view, axis, ways, interrupted),
             ]
         with ui.element("div").classes("hil-main"):
             parts.append(_draw_steps(view))
@@ -64,10 +66,9 @@ def draw(view: View) -> None:
     view.every(refresh)
 
 
-def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
-    """Start, resume, store."""
+def _draw_buttons(view: View, axis: AxisConfig, ways: dict[str, GoOn], interrupted: Callable[[], bool]) -> Refresh:
+    """Start, store; and the way to go on with an interrupted measurement."""
     t, desk, how = view.t, view.desk, lost_motion.lost_motion_config(axis)
-    broken_off = Reading(view, partial(resumable, axis))
     figures = {name: t.number(value, 1) for name, value in (("stroke", how.stroke_mm), ("at", how.at_mm))}
     plan = t("lost_motion.plan", runs=how.runs, places=how.places, moves=how.proof_moves, **figures)
     view.named(ui.label(plan).classes("hil-name"), "lost_motion.plan")
@@ -87,17 +88,18 @@ def _draw_buttons(view: View, axis: AxisConfig) -> Refresh:
     ready = draw_ready(view, "lost_motion", *measured_checks(view))
     with ui.element("div").classes("hil-buttons"):
         start_button = view.button("lost_motion.start", lambda: start(False)).classes("hil-go")
-        resume_button = view.button("lost_motion.resume", lambda: start(True))
         store_button = view.button("lost_motion.store", store)
         zero = ZeroSwitches(view, "lost_motion")
+
+    ways[lost_motion.CAMPAIGN] = GoOn("lost_motion.resume", lambda: start(True), view.why_not)
 
     def refresh() -> None:
         ready()
         start_button.allow(view.why_not())
         zero.refresh()
-        resume_button.allow(view.why_not())
-        resume_button.set_visibility(broken_off.value is True)
         storable = lost_motion_screen(desk).storable
+        main = store_button if storable else None if interrupted() else start_button
+        lead(main, [start_button, store_button])
         store_button.allow(view.why_not(builder=True) or ("" if storable else t("why.nothing_proven")))
 
     return refresh

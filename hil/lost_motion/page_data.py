@@ -97,11 +97,6 @@ def kept_lost_motion(axis: DriveAxis) -> KeptLostMotion | None:
     )
 
 
-def resumable(axis: DriveAxis) -> bool:
-    """Whether there is an interrupted measurement to resume; reads the axis's folder."""
-    return lost_motion.unfinished(axis)
-
-
 @dataclass(frozen=True)
 class FittedCurve:
     """A shape as a curve; in_force: it is the chosen one"""

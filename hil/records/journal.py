@@ -153,6 +153,12 @@ class Unfinished:
     directory: Path
     purpose: Mapping[str, Any]
 
+    @property
+    def rows(self) -> int:
+        """Number of whole lines below the headings of all passes."""
+        lines = [line for path in self.directory.glob("*.csv") for line in read_bytes(path).split(b"\n")[:-1]]
+        return sum(line[:1].isdigit() or line[:1] == b"-" for line in lines)
+
 
 class Campaign:
     """The directory of one campaign: its purpose, its passes and their chain."""

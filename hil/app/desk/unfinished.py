@@ -7,7 +7,6 @@ from datetime import datetime
 from pathlib import Path
 
 from drivers.errors import InputError
-from drivers.files import read_bytes
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.backlash.job import unrestored
 from hil.backlash.settings import NOTE
@@ -49,7 +48,7 @@ def unfinished_work(axis: DriveAxis) -> tuple[UnfinishedWork, ...]:
         campaign = Campaign.unfinished(directory, kind)
         if campaign is not None:
             place = campaign.directory
-            found.append(UnfinishedWork(kind, page, place.name, _written(place), _rows(place)))
+            found.append(UnfinishedWork(kind, page, place.name, _written(place), campaign.rows))
     if unrestored(axis):
         found.append(UnfinishedWork(SETTINGS, "backlash", directory.name, _written(directory / NOTE)))
     download = unfinished(axis)
@@ -64,12 +63,6 @@ def discard(axis: DriveAxis, work: UnfinishedWork) -> None:
     if work.rows is None:
         raise InputError(f"{work.place} cannot be discarded, expected a campaign")
     Campaign.discard(axis.store.directory / work.place)
-
-
-def _rows(directory: Path) -> int:
-    """Number of whole lines below the headings of all passes."""
-    lines = [line for path in directory.glob("*.csv") for line in read_bytes(path).split(b"\n")[:-1]]
-    return sum(line[:1].isdigit() or line[:1] == b"-" for line in lines)
 
 
 def _written(path: Path) -> datetime:

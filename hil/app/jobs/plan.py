@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from hil.axis.axis_file import AxisConfig
 from hil.machine.measure import Step
+from hil.records.journal import Campaign
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,7 @@ class Plan:
 
     homes: the axis is homed; datum_mm: position at which the datum is taken
     travel_s: time of the moves between the positions, without homing and settling, s
+    measured: positions that the interrupted campaign has already, where it is gone on with
     positions: number of captures (of a probe: contacts), each with `at_rest_s` seconds at rest
     overtravel_mm: largest travel of a probe beyond each contact
     locked: the job needs the builder's role; of_probe: with the key of the probe's run-out
@@ -60,6 +63,7 @@ class Plan:
     new_zero: bool = False
     instrument_zeroed: bool = False
     travel_s: float = 0.0
+    measured: int = 0
 
     @property
     def seconds(self) -> float:
@@ -67,11 +71,27 @@ class Plan:
         return self.travel_s + self.positions * self.at_rest_s
 
     @property
+    def left(self) -> int:
+        """Number of positions that are left."""
+        return self.positions - self.measured
+
+    @property
+    def seconds_left(self) -> float:
+        """`seconds` for the positions that are left."""
+        return self.seconds * self.left / self.positions if self.positions else 0.0
+
+    @property
     def reach_mm(self) -> tuple[float, float] | None:
         """The lowest and the highest position, mm; None where nothing moves."""
         if not self.moves:
             return None
         return min(move.low_mm for move in self.moves), max(move.high_mm for move in self.moves)
+
+
+def going_on(plan: Plan, directory: Path, kind: str) -> Plan:
+    """The plan of going on with the interrupted campaign of this kind in an axis's folder; unchanged where there is none."""
+    campaign = Campaign.unfinished(directory, kind)
+    return plan if campaign is None else replace(plan, measured=min(campaign.rows, plan.positions))
 
 
 def measuring_plan(axis: AxisConfig, steps: Sequence[Step], writes: Sequence[Write], *, locked: bool = False) -> Plan:

@@ -53,6 +53,12 @@ def show_share(bar: ui.linear_progress, job: Progress | None) -> None:
     bar.classes(replace="" if job is None else job.phase.value)
 
 
+def lead(main: Button | None, buttons: Sequence[Button]) -> None:
+    """Make one of these the main button, that of the next step, and none of them for None."""
+    for button in buttons:
+        button.classes(add="hil-go" if button is main else "", remove="" if button is main else "hil-go")
+
+
 class Tabs:
     """The jobs of one page, of which one is shown at a time. keys: of their names; the first is shown at first."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -27,6 +28,9 @@ from hil.probe.machine_file import ProbeMachineConfig
 
 AnyElement = TypeVar("AnyElement", bound=Element)
 _shown_errors: WeakKeyDictionary[Client, ui.notification] = WeakKeyDictionary()
+S_PER_MIN = 60.0
+AS_BEGUN = ("rows", "signs")
+"""What a campaign that is gone on with writes as it was begun: it is not asked again."""
 REFRESH_S = 0.2
 """Interval between two refreshes of a page, s."""
 
@@ -285,16 +289,21 @@ class View:
                 dialog.delete()
 
     def question(self, plan: Plan) -> list[str]:
-        """A plan as lines of text."""
+        """A plan as lines of text; of a campaign that is gone on with, what is left of it."""
         t = self.t
         lines = []
+        if plan.measured:
+            minutes = math.ceil(plan.seconds_left / S_PER_MIN)
+            lines.append(
+                t("plan.goes_on", measured=plan.measured, count=plan.positions, left=plan.left, minutes=minutes)
+            )
         if plan.moves:
             lines.append(t("plan.enables_homes" if plan.homes else "plan.enables", axis=plan.axis))
         if plan.new_zero:
             lines.append(t("plan.new_zero"))
         if plan.instrument_zeroed:
             lines.append(t("plan.instrument_zeroed"))
-        if plan.datum_mm is not None:
+        if plan.datum_mm is not None and not plan.measured:
             lines.append(t("plan.datum", position=t.number(plan.datum_mm)))
         for move in plan.moves:
             sign = move.how == "drives"
@@ -303,10 +312,10 @@ class View:
             lines.append(t(f"plan.{move.how}", what=what, speed=t.number(move.velocity_mm_s, 1), **ends))
         if plan.overtravel_mm is not None:
             lines.append(t("plan.contacts", count=plan.positions, overtravel=t.number(plan.overtravel_mm, 1)))
-        elif plan.positions:
+        elif plan.positions and not plan.measured:
             lines.append(t("plan.captures", count=plan.positions, seconds=t.number(plan.at_rest_s, 1)))
-        lines += [t(f"plan.write.{write.what}", place=_short_name(write.place)) for write in plan.writes]
-        return lines
+        writes = [write for write in plan.writes if not (plan.measured and write.what in AS_BEGUN)]
+        return lines + [t(f"plan.write.{write.what}", place=_short_name(write.place)) for write in writes]
 
 
 def _short_name(place: str) -> str:

@@ -9,6 +9,7 @@ from typing import Any
 from drivers.errors import StateError
 from hil.app.jobs.figures import error_figures
 from hil.app.jobs.job import Job, Question, Workplace, tell_unchecked
+from hil.app.jobs.plan import going_on
 from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.app.report.views import label_of
 from hil.axis.axis_file import AxisConfig
@@ -125,6 +126,8 @@ def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: 
         return Looped(loop_stages(loop), loop_is_good(loop))
 
     plan = zero.in_plan(loop_plan(axis, turning.exploration, turning.in_motion))
+    if resume:
+        plan = going_on(plan, axis.store.directory, CLOSE_LOOP)
     return Job(CLOSE_LOOP, plan, work)
 
 

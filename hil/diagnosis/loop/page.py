@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, measured_checks
+from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
 from hil.app.panel.plots import JobPlot
+from hil.app.panel.unfinished import GoOn, draw_unfinished
 from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
@@ -27,12 +28,14 @@ def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> R
     """Draws verdict, step, settings, start, live plot and the figures of each stage; returns their refresh."""
     t = view.t
     messages = view.messages("loop.messages")
+    ways: dict[str, GoOn] = {}
+    interrupted = draw_unfinished(view, "loop", ways)
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
             parts = [
                 _draw_verdict(view, kept),
                 draw_where(view, "loop", lambda: view.desk.last(CLOSE_LOOP), progress=True),
-                _draw_buttons(view, axis, kept),
+                _draw_buttons(view, axis, kept, ways, interrupted),
             ]
         with ui.element("div").classes("hil-main"):
             steps = Steps(view, "loop", STEPS, usual=len(STEPS) - len(IN_MOTION))
@@ -63,12 +66,18 @@ def _as_one(series: str) -> str:
     return f"{measurement_of(name)}{comma}{way}"
 
 
-def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> Refresh:
+def _draw_buttons(
+    view: View,
+    axis: AxisConfig,
+    kept: Reading[DiagnosisScreen],
+    ways: dict[str, GoOn],
+    interrupted: Callable[[], bool],
+) -> Refresh:
+    """Start and settings; and the way to go on with an interrupted loop."""
     t, desk, usual = view.t, view.desk, Exploration()
     ready = draw_ready(view, "loop", *measured_checks(view), builder=True)
     with ui.element("div").classes("hil-buttons"):
         start_button = view.button("loop.start", lambda: start(False)).classes("hil-go")
-        resume_button = view.button("loop.resume", lambda: start(True))
     with view.fold("loop.more"):
         runs = ui.number(t("loop.runs"), value=usual.runs, min=2, max=100, precision=0)
         rows = ui.number(t("loop.rows"), value=usual.rows, min=8, max=1000, precision=0)
@@ -91,15 +100,18 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) 
         job = loop_job(axis, Turning(how, in_motion=in_motion), resume=resume, zero=zero.said())
         await zero.run(view.ask_and_run, job)
 
-    def refresh() -> None:
+    def why_not() -> str:
         store = desk.rights.store
         writable = store is not None and store.builder_key is not None
-        why_not = view.why_not(builder=True) or ("" if writable else t("why.tables"))
-        start_button.allow(why_not)
+        return view.why_not(builder=True) or ("" if writable else t("why.tables"))
+
+    ways[CLOSE_LOOP] = GoOn("loop.resume", lambda: start(True), why_not)
+
+    def refresh() -> None:
+        start_button.allow(why_not())
+        lead(None if interrupted() else start_button, [start_button])
         ready()
         zero.refresh()
-        resume_button.allow(why_not)
-        resume_button.set_visibility(kept.value is not None and kept.value.unfinished is not None)
 
     return refresh
 

@@ -10,11 +10,10 @@ from operator import attrgetter
 from nicegui import ui
 
 from drivers.drive import DriveState
-from hil.app.desk.desk import Desk
 from hil.app.desk.live import Live
-from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
 from hil.app.panel.pieces import Reading, tables_written
 from hil.app.panel.plots import Channel, LiveChart
+from hil.app.panel.unfinished import draw_unfinished
 from hil.app.panel.view import Button, View
 
 Refresh = Callable[[], None]
@@ -22,7 +21,7 @@ Refresh = Callable[[], None]
 
 def draw(view: View) -> None:
     """Draw the page."""
-    _draw_left_over(view)
+    draw_unfinished(view, "overview")
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
             parts = [_draw_drive(view), _draw_instrument(view), _draw_correction(view)]
@@ -163,62 +162,6 @@ def _draw_plots(view: View) -> Refresh:
 def _hold(view: View, held: list[tuple[Button, LiveChart]]) -> None:
     for button, chart in held:
         button.say(view.t("overview.go_on" if chart.pause() else "overview.pause"))
-
-
-def _draw_left_over(view: View) -> None:
-    """Card of interrupted work of every kind: what, since when, and the page where it is gone on with or put back."""
-    t = view.t
-    card = view.named(ui.element("section").classes("hil-card hil-left"), "overview.left_over")
-    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, partial(_left_over, view.desk))
-    shown: list[tuple[UnfinishedWork, ...]] = [()]
-    buttons: list[Button] = []
-    card.set_visibility(False)
-
-    def refresh() -> None:
-        found = kept.value or ()
-        if found == shown[0]:
-            return
-        shown[0] = found
-        buttons.clear()
-        card.clear()
-        card.set_visibility(bool(found))
-        with card:
-            ui.label(t("overview.unfinished", count=len(found))).classes("hil-name")
-            for one in found:
-                with ui.element("div").classes("hil-line"):
-                    ui.label(_left(view, one)).classes("hil-wide")
-                    ui.link(t("overview.go_to"), f"/axis/{view.desk.name}/{one.page}").classes("hil-link")
-                    if one.rows is not None:
-                        button = view.button("overview.discard", partial(_discard, view, one, kept))
-                        buttons.append(view.named(button, f"overview.discard.{one.kind}"))
-        allow()
-
-    def allow() -> None:
-        for button in buttons:
-            button.allow("" if view.in_control else t("why.control"))
-
-    view.every(refresh)
-    view.every(allow)
-
-
-async def _discard(view: View, work: UnfinishedWork, kept: Reading[tuple[UnfinishedWork, ...]]) -> None:
-    """Ask with what is lost, then give it up."""
-    t = view.t
-    lines = [t("overview.ask_discard", work=_left(view, work), rows=work.rows), t("overview.discard_lost")]
-    if await view.ask(lines, t("go.discard")):
-        view.desk.discard(view.token, work)
-        kept.again()
-
-
-def _left(view: View, work: UnfinishedWork) -> str:
-    since = "" if work.since is None else work.since.strftime("%Y-%m-%d %H:%M")
-    return view.t(f"overview.left.{work.kind}", place=work.place, since=since)
-
-
-def _left_over(desk: Desk) -> tuple[UnfinishedWork, ...]:
-    """Interrupted work; none while a job runs, which may be resuming it."""
-    job = desk.job()
-    return () if job is not None and job.running else unfinished_work(desk.axis)
 
 
 async def _reset_fault(view: View) -> None:

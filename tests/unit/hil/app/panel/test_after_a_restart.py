@@ -11,7 +11,7 @@ import pytest
 from nicegui import ui
 from support import backlash_axis
 from support.bench_axis import lay_out
-from support.screen import Screen, inside
+from support.screen import Draw, Screen, inside
 
 from drivers.errors import InputError
 from hil.app.desk.control import NotInControlError
@@ -24,7 +24,10 @@ from hil.app.panel.view import Button
 from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
 from hil.backlash import job, page
 from hil.backlash.settings import NOTE
+from hil.calibration import page as calibration
+from hil.calibration.job import calibration_plan, verification_plan
 from hil.lost_motion import page as lost_motion
+from hil.lost_motion.job import measuring_plan
 from hil.records.journal import Campaign
 
 COLUMNS = ("run", "direction", "target_mm", "measured_mm")
@@ -132,15 +135,53 @@ def test_every_kind_of_unfinished_work_is_on_one_card(language: str, tmp_path: P
     inside(work)
 
 
-def broken_off(axis: AxisConfig) -> Campaign:
-    """A calibration with two readings and a third that a power cut tore."""
-    campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False)
+def broken_off(axis: AxisConfig, kind: str = "calibrate") -> Campaign:
+    """A campaign with two readings and a third that a power cut tore."""
+    campaign = Campaign.numbered(axis.store.directory, axis.purpose(kind), resume=False)
     with campaign.rows("measure", COLUMNS) as rows:
         for target_mm in (20.0, 40.0):
             rows.append(dict(zip(COLUMNS, (1.0, 1.0, target_mm, target_mm), strict=True)))
     with (campaign.directory / "measure.csv").open("a", encoding="utf-8") as file:
         file.write("1,1,6")
     return campaign
+
+
+@pytest.mark.parametrize(
+    ("kind", "draw", "button"),
+    [
+        ("calibrate", calibration.draw, "calibrate.resume.calibrate"),
+        ("uncorrected", calibration.draw, "calibrate.resume.uncorrected"),
+        ("lost-motion", lost_motion.draw, "lost_motion.resume"),
+    ],
+)
+def test_going_on_stands_on_top_and_asks_with_what_is_left(kind: str, draw: Draw, button: str, tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    how = lost_motion.lost_motion.lost_motion_config(axis)
+    count = {
+        "calibrate": calibration_plan(axis),
+        "uncorrected": verification_plan(axis, 1),
+        "lost-motion": measuring_plan(axis, how),
+    }[kind].positions
+    broken_off(axis, kind)
+    desk = Desk(axis)
+
+    async def work() -> None:
+        screen = Screen(desk, draw, token=desk.control.take("test"))
+        await screen.refreshes()
+        await screen.refreshes()
+        assert screen.named(button) in list(screen.named(f"{button.partition('.')[0]}.left_over").descendants())
+        assert "hil-go" in screen.named(button).classes
+        asking = screen.begins(button)
+        async with asyncio.timeout(60.0):
+            while not any(one.value for one in screen.all(ui.dialog)):
+                await asyncio.sleep(0.01)
+        lines = [one.text for one in screen.all(ui.label) if one.props.get("data-name") == "question.line"]
+        assert lines[0].startswith(f"2 of {count} positions are measured and kept; {count - 2} are left, at least ")
+        assert not [line for line in lines if "will be captured" in line or "Rows will be written" in line]
+        screen.begins("question.no")
+        await asyncio.gather(*asking)
+
+    inside(work)
 
 
 def test_what_is_discarded_is_named_first_and_not_offered_again(tmp_path: Path) -> None:

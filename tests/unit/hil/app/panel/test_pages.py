@@ -17,6 +17,7 @@ from support.bench_axis import lay_out
 from hil.app.desk.desk import Desk
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Plan
+from hil.app.panel import unfinished
 from hil.app.panel.browsers import Browser
 from hil.app.panel.pages import overview
 from hil.app.panel.texts import Texts
@@ -107,7 +108,7 @@ def test_the_instruments_own_zero_is_not_shown_as_the_position_of_the_load(desk:
     assert curve == pytest.approx([live.position_load_mm] * len(curve), abs=0.1)
 
 
-@pytest.mark.parametrize(("of", "reads"), [(overview, "unfinished_work"), (lost_motion, "resumable")])
+@pytest.mark.parametrize(("of", "reads"), [(unfinished, "unfinished_work"), (lost_motion, "kept_lost_motion")])
 def test_the_folder_is_read_beside_the_loop_and_after_a_job(
     of: Any, reads: str, desk: Desk, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -129,5 +130,5 @@ def test_the_folder_is_read_beside_the_loop_and_after_a_job(
             drawn.does(lambda _place: None, until)
         return counts
 
-    assert looked_at(desk, of.draw, look) == [1, 2]
+    assert looked_at(desk, lost_motion.draw, look) == [1, 2]
     assert threading.get_ident() not in threads

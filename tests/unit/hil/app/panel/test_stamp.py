@@ -15,6 +15,7 @@ from support.screen import Screen, inside
 from hil.app.desk.desk import Desk
 from hil.app.desk.event_log import Kind
 from hil.app.panel.texts import LANGUAGES, Texts
+from hil.app.panel.view import Button
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import page
 from hil.records.rows import to_csv
@@ -75,6 +76,33 @@ def test_the_stamp_is_the_decision_on_a_and_its_uncertainty(
     assert [one for one in STAMPED if one in found["look"].split()] == [outcome]
     assert found["verified"].startswith(f"{t.number(A_UM, 2)} ± ")
     assert t.number(limit_um, 2) in found["decision"]
+
+
+@pytest.mark.parametrize(
+    ("kinds", "limit_um", "main"),
+    [
+        ((), 8.0, "calibrate.start"),
+        (("calibrate",), 8.0, "calibrate.verify"),
+        (("calibrate", "verify"), 1000.0, "calibrate.next.reports"),
+        (("calibrate", "verify"), 0.5, "calibrate.next.diagnosis"),
+        (("verify", "calibrate"), 1000.0, "calibrate.verify"),
+    ],
+)
+def test_the_main_button_is_the_next_step(kinds: tuple[str, ...], limit_um: float, main: str, tmp_path: Path) -> None:
+    path = lay_out(tmp_path, correction=f"accuracy_limit_um = {limit_um}")
+    path.write_text(path.read_text(encoding="utf-8") + UNCERTAIN, encoding="utf-8")
+    axis = load_axis(path)
+    for day, kind in enumerate(kinds, start=10):
+        keeps(axis, kind, f"2026-04-{day}T08:00:00+00:00")
+
+    async def work() -> None:
+        screen = Screen(Desk(axis), page.draw)
+        for _ in range(2):
+            await screen.refreshes()
+        shown = [one for one in screen.all(Button) if one.visible and "hil-go" in one.classes]
+        assert [one.props["data-name"] for one in shown if one.props["data-name"].startswith("calibrate.")] == [main]
+
+    inside(work)
 
 
 def test_without_limit_or_figure_there_is_no_stamp(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ PANEL = Path(str(files("hil.app.panel")))
 DRAWN = sorted(
     [
         *PANEL.glob("pages/*.py"),
-        *(PANEL / f"{name}.py" for name in ("frame", "view", "bar", "events", "plots", "question")),
+        *(PANEL / f"{name}.py" for name in ("frame", "view", "bar", "events", "plots", "question", "unfinished")),
     ]
 )
 
