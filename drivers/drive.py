@@ -74,6 +74,11 @@ class DriveLimits:
     max_velocity_mm_s: Positive
     max_acceleration_mm_s2: Positive
 
+    @property
+    def ends_mm(self) -> tuple[float, float]:
+        """Both ends of the travel, mm."""
+        return self.travel_min_mm, self.travel_max_mm
+
     def check_target(self, position_load_mm: float) -> None:
         """Raise LimitError unless the position, mm, lies within the travel; NaN is refused."""
         if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:

@@ -13,8 +13,17 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Annotated
 
+from drivers.cia402_words import LARGEST_POSITION
 from drivers.errors import InputError, LimitError
 from drivers.toml_types import Limits, Positive, Ratio, Sign
+
+
+def beyond_reach(first_mm: float, last_mm: float) -> str:
+    """That a position lies beyond those that a drive holds, mm, and what to change."""
+    return (
+        f"the drive holds positions from {first_mm:.6g} to {last_mm:.6g} mm; set coarser position units in the drive (608Fh, 6091h,"
+        " electronic gear) and the same in [scaling], or lay travel and zero within"
+    )
 
 
 @dataclass(frozen=True)
@@ -60,6 +69,14 @@ class AxisScaling:
     def load_mm(self, position_motor_counts: float) -> float:
         """Motor counts -> load mm."""
         return self.direction * position_motor_counts / self.counts_per_load_mm
+
+    def unheld(self, position_load_mm: float) -> str:
+        """Why a drive that holds positions in 32 bits with a sign cannot hold this one (mm), and what to change; "" where it can."""
+        counts = self.motor_counts(position_load_mm)
+        if -LARGEST_POSITION <= counts <= LARGEST_POSITION:
+            return ""
+        last_mm = LARGEST_POSITION / self.counts_per_load_mm
+        return f"is {position_load_mm:g} mm, {counts} counts: {beyond_reach(-last_mm, last_mm)}"
 
     def motor_counts_per_s(self, speed_mm_s: float) -> int:
         """An unsigned speed (or acceleration) in mm/s (mm/s²) -> counts/s (counts/s²), at least 1."""

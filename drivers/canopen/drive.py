@@ -46,6 +46,7 @@ from drivers.errors import (
     CapabilityError,
     DriveFaultError,
     HeldUnderPowerError,
+    InputError,
     MotionTimeoutError,
     NoAnswerError,
     ProtocolError,
@@ -75,9 +76,13 @@ class CanOpenDrive(StoppableDrive):
     def open(self) -> None:
         """Find the node, read its identity and capabilities, map the PDOs, supervise its heartbeat. Nothing is enabled or moved.
 
-        Raises StateError when it is open already, ProtocolError for a node that is no CiA-402 drive, TransportError, AbortError."""
+        Raises StateError when it is open already, InputError for a travel that 32 bits do not hold in counts, ProtocolError for a node
+        that is no CiA-402 drive, TransportError, AbortError."""
         if self._open:
             raise StateError(f"drive {self.name} is already open")
+        for place in (*self.limits.ends_mm, self.settings.homing.home_position_mm or 0.0):
+            if what := self.scaling.unheld(place):
+                raise InputError(f"drive {self.name}: an end of its travel, or its home position, {what}")
         self.node.open(self.settings.sdo_timeout_s, self.settings.axis)
         self.sdo, self.monitor = self.node.sdo, self.node.monitor
         self.power = PowerStage(self.sdo, self.clock, self.settings.power)

@@ -352,7 +352,7 @@ class ProfileMotion:
     def _allowed_ramp(self, entry: Entry, largest: Entry, acceleration: int) -> int:
         """The ramp that the drive allows, in its units; noted once where that is less."""
         value = acceleration
-        for limit in (self._limit(largest), self._limits.get(entry, 0), self._highest(entry)):
+        for limit in (self._limit(largest), self._limits.get(entry, 0), self._highest(entry), entry.type.range[1]):
             if limit:
                 value = min(value, int(limit))
         if value < acceleration and (entry, value) not in self._noted:
@@ -369,6 +369,7 @@ class ProfileMotion:
         limits = [
             (float(self._limit(objects.MAX_PROFILE_VELOCITY)), "607Fh"),
             (self._highest(written), "its maker's file"),
+            (written.type.range[1], f"{written} holds no more"),
         ]
         for limit, source in limits:
             if limit and velocity > limit:

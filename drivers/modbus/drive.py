@@ -66,9 +66,12 @@ class ModbusDrive(StoppableDrive):
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
-        """Connect and take one sample; writes nothing. Raises StateError when it is open already, LinkLostError, NoAnswerError."""
+        """Connect and take one sample; writes nothing. Raises StateError when it is open already, InputError for a travel that its
+        registers do not hold, LinkLostError, NoAnswerError."""
         if self._open:
             raise StateError(f"drive {self.name} is already open")
+        names = (self.map.position,) if self.map.move.relative else (self.map.position, self.map.move.target)
+        self.values.check_held(self.limits.ends_mm, names)
         self.link.open()
         self._open = True
         try:

@@ -6,7 +6,7 @@ Registers in rev and rpm are of the motor's shaft. `AxisScaling` alone turns mot
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from drivers.clock import Clock
@@ -17,7 +17,7 @@ from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.orders import Orders, hold
 from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.register_map import Register
-from drivers.scaling import AxisScaling
+from drivers.scaling import AxisScaling, beyond_reach
 
 _PER_REV = {"rev": 1.0, "rpm": 1.0 / 60.0, "rev/s": 1.0, "rpm/s": 1.0 / 60.0, "rev/s2": 1.0}
 _COUNTS = ("counts", "counts/s", "counts/s2")
@@ -106,6 +106,20 @@ class DriveValues:
 
     def position_counts(self, raw: Mapping[str, Raw]) -> float:
         return self.counts(raw[self._map.position], self._map.position)
+
+    def check_held(self, ends_mm: Sequence[float], names: Sequence[str]) -> None:
+        """Raise InputError for an end of the travel, load mm, that one of these registers of positions cannot hold."""
+        for name in names:
+            register = self._registers[name]
+            per = counts_per_unit(register, self._scaling.encoder_counts_per_motor_rev)
+            low, high = register.bounds
+            ends = (-math.inf if low is None else low * per, math.inf if high is None else high * per)
+            held = sorted(map(self._scaling.load_mm, ends))
+            for end_mm in ends_mm:
+                if not held[0] <= end_mm <= held[1]:
+                    raise InputError(
+                        f"drive {self._name}: an end of its travel is {end_mm:g} mm: {beyond_reach(*held)} ({name})"
+                    )
 
     def load_mm(self, raw: Mapping[str, Raw], name: str | None) -> float | None:
         """A position or velocity of the load, mm or mm/s; None for a register that the drive does not have."""

@@ -334,6 +334,13 @@ def _moving(document: Document) -> dict[str, Any]:
         raise document.fail("axis.travel_max_mm", what)
     scaling = document.load(AxisScaling, "scaling")
     drive = read_drive(document)
+    for key, place in (
+        ("axis.travel_min_mm", limits.travel_min_mm),
+        ("axis.travel_max_mm", limits.travel_max_mm),
+        ("drive.homing.home_position_mm", drive.homing.home_position_mm or 0.0),
+    ):
+        if drive.backend != "modbus" and (what := scaling.unheld(place)):  # there by the registers of its map
+            raise document.fail(key, what)
     return {
         "path": document.path,
         "name": section.name,

@@ -250,6 +250,35 @@ def test_a_move_that_began_but_was_not_confirmed_is_stopped() -> None:
         assert drive.sample().position_load_mm < 2.0
 
 
+@pytest.mark.parametrize(
+    ("name", "counts_per_rev", "travel_max_mm", "last_mm"),
+    [
+        (CIA402, 2**23, 3000.0, 2560.0),
+        (VENDOR, 2**23, 3000.0, 2560.0),
+        ("mitsubishi_mr_je_c", 2**26, 400.0, 320.0),
+        ("kollmorgen_akd2g", 2**26, 60_000.0, 59652.3),  # in revolutions: 2^31 steps of 0.001 degrees
+        ("kollmorgen_akd2g", 2**26, 50_000.0, None),
+        (CIA402, 2**23, 2500.0, None),
+    ],
+)
+def test_a_travel_that_the_registers_do_not_hold_is_refused_before_a_request(
+    name: str, counts_per_rev: int, travel_max_mm: float, last_mm: float | None
+) -> None:
+    clock = SimClock()
+    drive = ModbusDrive(
+        "X",
+        AxisScaling(counts_per_rev, 10.0),
+        replace(LIMITS, travel_max_mm=travel_max_mm),
+        clock,
+        link=ModbusLink(TcpEndpoint("127.0.0.1", 1, TIMEOUT_S), clock),
+        unit=UNIT,
+        drive_map=load_drive_map(name),
+    )
+    said = "Modbus" if last_mm is None else rf"the drive holds positions from -{last_mm:g} to {last_mm:g} mm"
+    with pytest.raises(LinkLostError if last_mm is None else InputError, match=said):
+        drive.open()
+
+
 def test_a_drive_that_says_it_is_there_and_does_not_move_is_found_out() -> None:
     with rig(CIA402) as r, r.drive as drive:
         drive.enable()

@@ -105,6 +105,26 @@ def make() -> Iterator[MakeRig]:
 # -- opening -------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(
+    ("counts_per_rev", "direction", "limits_mm", "home_mm"),
+    [
+        (2**23, 1, (0.0, 3000.0), None),
+        (2**23, -1, (-2561.0, 0.0), None),
+        (2**26, 1, (-300.0, 321.0), None),
+        (100_000, 1, (0.0, 100.0), 220_000.0),
+    ],
+)
+def test_a_travel_that_32_bits_do_not_hold_is_refused_before_a_frame(
+    make: MakeRig, counts_per_rev: int, direction: int, limits_mm: tuple[float, float], home_mm: float | None
+) -> None:
+    rig = make(homing=HomingSettings(home_position_mm=home_mm))
+    rig.drive.scaling = AxisScaling(counts_per_rev, 10.0, direction=direction)
+    rig.drive.limits = DriveLimits(*limits_mm, 200.0, 2000.0)
+    with pytest.raises(InputError, match=r"the drive holds positions from -\d+ to \d+ mm"):
+        rig.drive.open()
+    assert rig.drive.identity is None
+
+
 def test_a_node_that_another_master_stopped_is_told_from_one_that_is_dead(make: MakeRig) -> None:
     """CiA-301, 7.3.2.2.4: stopped, a node takes part in NMT and heartbeat alone."""
     rig = make(parameters={(0x1017, 0): 100})

@@ -87,6 +87,31 @@ def test_the_example_is_what_it_says(tmp_path: Path) -> None:
     assert axis.store.directory == Path("/var/lib/x")
 
 
+@pytest.mark.parametrize(
+    ("key", "changed", "last_mm"),
+    [
+        ("[axis] travel_max_mm", {"travel_max_mm": "3000.0", "encoder_counts_per_motor_rev": str(2**23)}, "2560"),
+        ("[axis] travel_max_mm", {"encoder_counts_per_motor_rev": str(2**26), "motor_revs_per_shaft_rev": "1"}, "320"),
+        ("[axis] travel_min_mm", {"travel_min_mm": "-300.0", "motor_revs_per_shaft_rev": "5000"}, "32.768"),
+        ("[drive.homing] home_position_mm", {"# home_position_mm": "-200000.0"}, "163840"),
+    ],
+)
+def test_a_place_that_32_bits_do_not_hold_is_refused_as_the_file_is_read(
+    tmp_path: Path, key: str, changed: dict[str, str], last_mm: str
+) -> None:
+    """epics-modules/ecmc issue 54: a fine encoder on a long axis counts beyond 2^31."""
+    path = tmp_path / "axis.toml"
+    path.write_text(axis_text(**changed).replace("# home_position_mm = -2", "home_position_mm = -2"), encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load_axis(path)
+    said = str(caught.value)
+    assert key in said
+    assert f"from -{last_mm} to {last_mm} mm" in said
+    assert "[scaling]" in said
+    path.write_text(axis_text(encoder_counts_per_motor_rev=str(2**25), motor_revs_per_shaft_rev="1"), encoding="utf-8")
+    assert load_axis(path).limits.travel_max_mm == 500.0
+
+
 def test_what_the_example_calls_a_default_is_one(tmp_path: Path) -> None:
     """Every key with its comment "default", or commented out, may go, and nothing changes but what those lines said."""
     path, bare = tmp_path / "axis.toml", tmp_path / "bare.toml"
