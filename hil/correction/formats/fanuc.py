@@ -1,8 +1,9 @@
-"""FANUC stored pitch error compensation, as a G10 L50 program that writes parameters and points.
+"""FANUC stored pitch error compensation, as a program that writes parameters and points (G10 L50, or G10 L52 for series 30i).
 
 Sources: FANUC Series 0i-B Parameter Manual B-63980EN (parameters 3620 to 3624 with the numbering and its example), FANUC 16i/18i
 technical report A-77810E (bidirectional compensation, 3605#0, 3626, 3627), operator's manual (programmable parameter input: G10 L50,
-N parameter P axis R value, N 10000 + point R value, G11).
+N parameter P axis R value, N 10000 + point R value, G11), 30i/31i parameter manual B-63950EN (parameters as they are punched out: N
+number Q kind A axis P value, M and I before a length in mm and inch; 3602#0).
 
 Point n belongs to one section: with the reference's point number r (parameter 3620) and the interval L (3624) it is the section from
 (n - r - 1)·L to (n - r)·L from the reference. Its value, -7 to 7 times the magnification 3623 in detection units, is
@@ -18,13 +19,14 @@ Coordinates are the machine's; the reference position is at `reference_mm`.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import InputError
 from hil.correction.formats.common import (
+    LENGTH_MM,
     Export,
     anchored,
     both_directions,
@@ -53,6 +55,11 @@ LARGEST_BACKLASH = 9999
 """Largest value of parameter 1851, detection units."""
 POINT_BASE = 10000
 """Added to a point's number in its N address."""
+SERIES = {
+    "16i": ("G10 L50", "16i, 18i, 21i and 0i-B; a 30i, 31i or 32i needs G10 L52: --series 30i"),
+    "30i": ("G10 L52", "30i, 31i and 32i; a 16i, 18i, 21i or 0i-B needs G10 L50: --series 16i"),
+}
+"""Series of a control -> the block that begins its parameter input, and the series that take it."""
 
 Ints = NDArray[np.int64]
 
@@ -70,7 +77,7 @@ class FanucSettings:
     tolerance_um: largest deviation from the tables by one backlash for both directions, and by resampling where resampling_um is None
     resampling_um: largest deviation by resampling
     bidirectional: 3605#0; False: one set of points and 1851; bits_3605: the other bits of 3605, which the program writes too
-    program: O number of the program
+    program: O number of the program; series: of the control, one of `SERIES`
     """
 
     axis: int = 1
@@ -88,6 +95,7 @@ class FanucSettings:
     bidirectional: bool = True
     bits_3605: int = 0
     program: int = 9000
+    series: str = "16i"
 
     def __post_init__(self) -> None:
         require(1 <= self.axis <= 99, f"axis number is {self.axis}, expected 1 to 99")
@@ -102,6 +110,7 @@ class FanucSettings:
         require(self.setting_unit_mm > 0, f"setting unit is {self.setting_unit_mm} mm, expected more than 0")
         require(0 <= self.bits_3605 <= 255, f"bits of 3605 are {self.bits_3605}, expected 0 to 255")
         require(1 <= self.program <= 9999, f"program number is {self.program}, expected 1 to 9999")
+        require(self.series in SERIES, f"series is {self.series!r}, expected {' or '.join(SERIES)}")
         require(self.tolerance_um >= 0, f"tolerance is {self.tolerance_um} µm, expected 0 or more")
 
     @property
@@ -136,7 +145,9 @@ def export(tables: TableSet, settings: FanucSettings = FanucSettings()) -> Expor
     text, points = _program(grid, interval, backlash_um, settings)
     limit = 2 * settings.tolerance_um + settings.step_um / 2 + settings.detection_unit_um / 2 + 1e-6
     deviation = check_written(load(text, settings), wanted, limit_um=limit)
+    block, takes = SERIES[settings.series]
     notes = (
+        f"the program is in {block}, for series {takes}",
         f"values are in {settings.detection_unit_um:g} µm (detection unit) times 3623; the reference position is"
         f" {settings.reference_mm:g} mm, reference return in {'+' if settings.reference_direction > 0 else '-'}",
         "parameter writing on (PWE), run the program, power off and on, return to the reference; the other bits of 3605"
@@ -188,14 +199,15 @@ def _program(grid: DirectionalTable, interval: float, backlash_um: float, settin
         )
     axis = f"P{settings.axis}"
     bits = settings.bits_3605 & 0xFE | int(settings.bidirectional)
-    lines = ["%", f"O{settings.program:04d}", "G10 L50"]
+    lines = ["%", f"O{settings.program:04d}", SERIES[settings.series][0]]
     lines += [
         f"N3605 {axis} R{bits:08b}",
         f"N3620 {axis} R{reference}",
         f"N3621 {axis} R{low}",
         f"N3622 {axis} R{high}",
     ]
-    lines += [f"N3623 {axis} R{settings.magnification}", f"N3624 {axis} R{round(interval / settings.setting_unit_mm)}"]
+    width = f"{interval:.6f}" if settings.series == "30i" else f"{round(interval / settings.setting_unit_mm)}"
+    lines += [f"N3623 {axis} R{settings.magnification}", f"N3624 {axis} R{width}"]
     if settings.bidirectional:
         lines += [f"N3626 {axis} R{minus_low}", f"N3627 {axis} R{absolute}"]
     else:
@@ -232,45 +244,100 @@ def _points(first: int, values: Ints) -> list[str]:
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 
-_BLOCK = re.compile(r"N(\d{1,9})\s*(?:P(\d{1,9})\s*)?R(-?\d{1,9})$")
+_FRAME = re.compile(r"%|[O:]\d+|M30|M0?2|M99|")
+_WORD = re.compile(r"([A-Z])\s*(-?\d{1,9}(?:\.\d{0,9})?)\s*")
 _PARAMETERS = (1851, 3605, 3620, 3621, 3622, 3623, 3624, 3626, 3627)
+_TOTALS = 3602
+"""Its bit 0: the points are totals from the reference, not increments (30i)."""
+
+
+@dataclass
+class _Reader:
+    """What a file holds of one axis. parameters: by number, 3624 in mm; points: by number"""
+
+    settings: FanucSettings
+    parameters: dict[int, float] = field(default_factory=dict)
+    points: dict[int, int] = field(default_factory=dict)
+
+    def block(self, text: str, line: int, *, program: bool) -> bool:
+        """Takes the values of a block, of a program (N P R) or as a control punches it out (N Q A P); False for what is none."""
+        words = _WORD.findall(text)
+        if not words or words[0][0] != "N" or "".join(_WORD.split(text)[::3]):
+            return False
+        number, axis, bit = int(float(words[0][1])), None, None
+        for letter, value in words[1:]:
+            if letter in ("RMI" if program else "PMI"):
+                self._value(number, axis, (letter, value, bit), line)
+            elif letter == ("P" if program else "A"):
+                axis = int(float(value))
+            elif letter == "Q" and program:
+                bit = int(float(value))
+            elif letter not in "QLST":  # kind of data, path, spindle
+                return False
+        return len(words) > 1
+
+    def _value(self, number: int, axis: int | None, word: tuple[str, str, int | None], line: int) -> None:
+        letter, text, bit = word
+        if number >= POINT_BASE:
+            _point(self.points, number - POINT_BASE, int(_whole(number, text, line)), line)
+        elif number == _TOTALS and set(text) <= {"0", "1"} and bit in (None, 0) and int(text, 2) & 1:
+            raise InputError("3602#0 is 1: the points are totals, expected increments", line=line)
+        elif number in _PARAMETERS and axis is None:
+            raise InputError(f"parameter {number} lacks its axis", line=line)
+        elif number in _PARAMETERS and axis == self.settings.axis and bit in (None, 0):
+            if number in self.parameters:
+                raise InputError(f"parameter {number} of axis {axis} is given twice", line=line)
+            self.parameters[number] = self._parameter(number, letter, text, line)
+
+    def _parameter(self, number: int, letter: str, text: str, line: int) -> float:
+        if number == 3605:
+            return int(text, 2) if set(text) <= {"0", "1"} else _whole(number, text, line)
+        if number != 3624:
+            return _whole(number, text, line)
+        if letter == "I":
+            return float(text) * LENGTH_MM["inch"]
+        return float(text) * (1.0 if letter == "M" or "." in text else self.settings.setting_unit_mm)
+
+
+def _whole(number: int, text: str, line: int) -> float:
+    value = float(text)
+    if value != int(value):
+        raise InputError(f"N{number} is {text}, expected a whole number", line=line)
+    return value
 
 
 def load(text: str, settings: FanucSettings = FanucSettings()) -> TableSet:
-    """The tables of one axis from a G10 L50 program.
+    """The tables of one axis from a program (G10 L50, G10 L52), or from parameters and points as a control punches them out.
 
-    Taken from the settings, as the file does not hold them: axis, detection unit, setting unit, the reference's coordinate and the
-    direction of reference return. Raises InputError with the line for a block that is not understood, and for a missing parameter or
-    point.
+    Taken from the settings, as the file does not hold them: axis, detection unit, setting unit (of a 3624 without decimal point), the
+    reference's coordinate and the direction of reference return. Raises InputError with the line for a block that is not understood,
+    and for a missing parameter or point.
     """
-    parameters: dict[int, int] = {}
-    points: dict[int, int] = {}
-    inside = ended = False
+    reader = _Reader(settings)
+    inside = ended = punched = False
     for line_number, raw in numbered_lines(text):
         before, closing, after = raw.rpartition(
             ")"
         )  # every remark ends in the first part, so that each is looked at once
         line = (re.sub(r"\([^)]*\)", "", before + closing) + after).rstrip(";").strip().upper()
-        if re.fullmatch(r"G10\s*L50", line):
+        if re.fullmatch(r"G10\s*L5[02]", line):
             inside = True
         elif line == "G11":
             inside, ended = False, True
-        elif inside and (match := _BLOCK.match(line)):
-            name = int(match[1])
-            value = int(match[3], 2 if name == 3605 and set(match[3]) <= {"0", "1"} else 10)
-            if name >= POINT_BASE:
-                _point(points, name - POINT_BASE, value, line_number)
-            elif match[2] is None:
-                raise InputError(f"parameter {name} lacks its axis (P)", line=line_number)
-            elif int(match[2]) == settings.axis and name in _PARAMETERS:
-                if name in parameters:
-                    raise InputError(f"parameter {name} of axis {settings.axis} is given twice", line=line_number)
-                parameters[name] = value
-        elif line and (inside or not re.fullmatch(r"%|O\d+|M30|M0?2|M99", line)):
-            raise InputError(f"{raw!r} is no block of parameter input", line=line_number)
-    if not ended:
-        raise InputError("holds no parameter input from G10 L50 to G11")
-    return _tables(parameters, points, settings)
+        elif not inside and _FRAME.fullmatch(line):
+            continue
+        elif not line or reader.block(line, line_number, program=inside):
+            punched = punched or not inside
+        else:
+            raise InputError(
+                f"{raw!r} is no block of parameter input (a program G10 L50 or G10 L52, or parameters punched out)",
+                line=line_number,
+            )
+    if inside or not (ended or punched):
+        raise InputError(
+            "holds no parameter input: neither a program from G10 L50 or L52 to G11 nor punched parameters"
+        )
+    return _tables(reader.parameters, reader.points, settings)
 
 
 def _point(points: dict[int, int], name: int, value: int, line: int) -> None:
@@ -281,14 +348,15 @@ def _point(points: dict[int, int], name: int, value: int, line: int) -> None:
     points[name] = value
 
 
-def _tables(parameters: dict[int, int], points: dict[int, int], settings: FanucSettings) -> TableSet:
+def _tables(parameters: dict[int, float], points: dict[int, int], settings: FanucSettings) -> TableSet:
     def parameter(name: int) -> int:
         if name not in parameters:
             raise InputError(f"lacks parameter {name} of axis {settings.axis}")
-        return parameters[name]
+        return int(parameters[name])
 
     reference, low, high = parameter(3620), parameter(3621), parameter(3622)
-    interval = parameter(3624) * settings.setting_unit_mm
+    parameter(3624)
+    interval = parameters[3624]
     step_um = parameter(3623) * settings.detection_unit_um
     if not (0 <= low <= high <= LARGEST_NUMBER and low - 1 <= reference <= high and interval > 0):
         raise InputError(
@@ -305,7 +373,7 @@ def _tables(parameters: dict[int, int], points: dict[int, int], settings: FanucS
 
     positions = evenly(settings.reference_mm + interval * (low - 1 - reference), interval, high - low + 2)
     plus = sums(low)
-    if not parameters.get(3605, 0) & 1:
+    if not int(parameters.get(3605, 0)) & 1:
         backlash_um = parameters.get(1851, 0) * settings.detection_unit_um
         if not backlash_um:
             return table_set(positions, plus, plus)

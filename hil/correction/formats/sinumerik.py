@@ -44,7 +44,10 @@ _Value = TypeVar("_Value")
 
 DOWNWARDS = " ; reference point approached in -"
 """End of the comment with the backlash, where the reference point is approached in the - direction."""
-_FRAME = re.compile(r"%.*|CHANDATA\(\d+\)|M17|M30|M0?2|NEWCONF", re.IGNORECASE)
+_FRAME = re.compile(
+    r"%.*|CHANDATA\(\d+\)|M17|M30|M0?[0-2]|RET|NEWCONF|\$(SN_CEC_TABLE|MA_CEC|MA_ENC_COMP)_ENABLE\[.*", re.IGNORECASE
+)
+_BLOCK_NUMBER = re.compile(r"^\s*N\d+\s+", re.IGNORECASE)
 _EEC_VALUE = re.compile(r"\$AA_ENC_COMP\[\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
 _EEC_KEY = re.compile(
     r"\$AA_ENC_COMP_(STEP|MIN|MAX|IS_MODULO)\[\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE
@@ -52,7 +55,7 @@ _EEC_KEY = re.compile(
 _BACKLASH = re.compile(r"\$MA_BACKLASH\[\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*([-+.\dEe]+)", re.IGNORECASE)
 _CEC_VALUE = re.compile(r"\$AN_CEC\s*\[\s*(\d{1,9})\s*[,.]\s*(\d{1,9})\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
 _CEC_KEY = re.compile(
-    r"\$AN_CEC_(INPUT_AXIS|OUTPUT_AXIS|STEP|MIN|MAX|DIRECTION|MULT_BY_TABLE|IS_MODULO)\s*\[\s*(\d{1,9})\s*\]\s*=\s*(\S+)$",
+    r"\$AN_CEC_(INPUT_NCU|INPUT_AXIS|OUTPUT_NCU|OUTPUT_AXIS|STEP|MIN|MAX|DIRECTION|MULT_BY_TABLE|IS_MODULO)\s*\[\s*(\d{1,9})\s*\]\s*=\s*(\S+)$",
     re.IGNORECASE,
 )
 
@@ -102,7 +105,7 @@ class _Reader:
             self.backlash_um = number(match[3], "MD32450", line_number) * UM_PER_MM
             self.downwards = raw.rstrip().endswith(DOWNWARDS.strip())
             return
-        line = raw.partition(";")[0].strip()
+        line = _BLOCK_NUMBER.sub("", raw.partition(";")[0], count=1).strip()
         if not line or _FRAME.fullmatch(line):
             return
         if match := _EEC_VALUE.match(line):
@@ -164,6 +167,12 @@ def _cec_set(found: dict[int, _Found]) -> TableSet:
     for table in found.values():
         if table.key("MULT_BY_TABLE", "0"):
             raise InputError("the table that begins here is multiplied by another one", line=table.line)
+        of, to = table.key("INPUT_NCU", "0"), table.key("OUTPUT_NCU", "0")
+        if of and to and of != to:
+            raise InputError(
+                f"the table that begins here corrects an axis of NCU {to:g} by one of NCU {of:g}, expected the same NCU",
+                line=table.line,
+            )
         direction, target = table.key("DIRECTION"), table.keys.get("OUTPUT_AXIS", "").strip("()")
         curve = table.curve()
         if target.upper() != next(iter(inputs)).strip("()"):

@@ -129,12 +129,13 @@ class _Reader:
 def load(text: str, settings: TwinCatSettings = TwinCatSettings()) -> TableSet:
     """The tables of a compensation value list, equidistant or not, unilateral or bilateral. The settings are not used.
 
-    `#` and `(*` begin a comment. Raises InputError, with the line where there is one, also for lists of other compensations
+    Comments are `#` to the end of the line, `(* *)` and `/* */`, also over several lines.
+    Raises InputError, with the line where there is one, also for lists of other compensations
     (kw.crosscomp …) and values in encoder increments.
     """
     reader = _Reader()
-    for line_number, raw in numbered_lines(text):
-        if line := re.sub(r"(#|\(\*).*$", "", raw).strip():
+    for line_number, line in numbered_lines(_without_comments(text)):
+        if line:
             reader.read(line, line_number)
     count = int(reader.entry("kw_nr_max", 0))
     if count < 1:
@@ -152,6 +153,33 @@ def load(text: str, settings: TwinCatSettings = TwinCatSettings()) -> TableSet:
     plus = -QUANTUM_UM * _column(reader.table["pos"], "pos", count)
     minus = -QUANTUM_UM * _column(reader.table["neg"], "neg", count) if reader.entry("bilateral", 0) else plus
     return table_set(np.asarray(setpoints * (QUANTUM_UM / UM_PER_MM)), plus + 0.0, minus + 0.0)
+
+
+_COMMENT = re.compile(r"#|//|\(\*|/\*")
+_CLOSES = {"(*": "*)", "/*": "*/"}
+
+
+def _without_comments(text: str) -> str:
+    """The text, with its line ends, less its comments. Raises InputError with the line for a /* that does not end."""
+    kept, at = [], 0
+    last = {opens: text.rfind(closes) for opens, closes in _CLOSES.items()}
+    while found := _COMMENT.search(text, at):
+        kept.append(text[at : found.start()])
+        opens = found[0]
+        if found.end() <= last.get(opens, -1):
+            end = text.index(_CLOSES[opens], found.end()) + len(_CLOSES[opens])
+            kept.append(" " + "\n" * len(_LINE_END.findall(text, found.end(), end)))
+        elif opens == "/*":
+            line = len(_LINE_END.findall(text, 0, found.start())) + 1
+            raise InputError("the comment /* does not end, expected */", line=line)
+        else:
+            line_end = _LINE_END.search(text, found.end())
+            end = len(text) if line_end is None else line_end.start()
+        at = end
+    return "".join([*kept, text[at:]])
+
+
+_LINE_END = re.compile(r"\r\n|\n|\r")
 
 
 def _column(values: dict[int, float], name: str, count: int) -> Floats:

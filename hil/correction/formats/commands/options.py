@@ -100,6 +100,9 @@ CONTROLLER_OPTIONS = (
         switch=False,
     ),
     Option("--bits-3605", "bits_3605", int, "fanuc: the other bits of parameter 3605 (default 0)"),
+    Option(
+        "--series", "series", str, "fanuc: 16i (G10 L50; also 18i, 21i, 0i-B; default) or 30i (G10 L52; also 31i, 32i)"
+    ),
     Option("--program", "program", int, "fanuc: O number (default 9000)"),
 )
 

@@ -618,3 +618,176 @@ def test_a_damaged_file_gives_tables_or_one_kind_of_error(controller: Controller
     except InputError:
         return
     assert np.all(np.isfinite(tables.correction_um([-5.0, 5.0, 25.0], 1)))
+
+
+ACHSKW = """\
+# compensation of X
+kw.ssfk.interval   20000{}
+kw.ssfk.kw_startpos   -20000
+kw.ssfk.kw_nr_max 3
+kw.ssfk.unit 1
+kw.ssfk.bilateral 0
+kw.ssfk.table[0].pos 0{}
+kw.ssfk.table[1].pos 90{}
+kw.ssfk.table[2].pos 70
+"""
+
+
+@pytest.mark.parametrize(
+    "comment",
+    [
+        "/* 0:Increments 1:Metric */",
+        "(* -2.0 *)",
+        "# /* open",
+        "/* over\r\n * two lines # (* */",
+        "(* without end",
+        "// -2.0",
+        "/**/ /* a */",
+    ],
+)
+def test_twincat_comments_are_left_out_wherever_they_stand(comment: str) -> None:
+    found = both_directions(twincat.load(ACHSKW.format(f"  {comment}", f"\t{comment}", comment)))
+    assert found.position_mm.tolist() == [-2.0, 0.0, 2.0]
+    assert found.plus_um == pytest.approx([0.0, -9.0, -7.0])
+    with pytest.raises(InputError, match="'x'") as caught:
+        twincat.load(ACHSKW.format("", comment, "") + "x")
+    assert caught.value.line == len((ACHSKW.format("", comment, "") + "x").splitlines())
+
+
+def test_a_twincat_comment_without_end_is_refused_with_its_line() -> None:
+    with pytest.raises(InputError, match="does not end") as caught:
+        twincat.load(ACHSKW.format(" /* a */", " /* a", ""))
+    assert caught.value.line == 7
+
+
+CEC = """\
+%_N_NC_CEC_INI
+CHANDATA(1)
+$AN_CEC[0,0]=0
+$AN_CEC[0,1]=0.002
+$AN_CEC[0,2]=0.004
+$AN_CEC_INPUT_AXIS[0]=(X1)
+$AN_CEC_OUTPUT_AXIS[0]=(X1)
+$AN_CEC_STEP[0]=100
+$AN_CEC_MIN[0]=0
+$AN_CEC_MAX[0]=200
+$AN_CEC_DIRECTION[0]=0
+"""
+
+
+@pytest.mark.parametrize(
+    "more",
+    [
+        "$AN_CEC_INPUT_NCU[0]=1\n$AN_CEC_OUTPUT_NCU[0]=1\nM17",
+        "$an_cec_input_ncu[0] = 0\n$AN_CEC_OUTPUT_NCU[0]=0\nM0\nM17",
+        "$AN_CEC_INPUT_NCU[0]=2\nM00",
+        "N100 $AN_CEC_OUTPUT_NCU[0]=2\nN110 $SN_CEC_TABLE_ENABLE[0]=1\nN120 NEWCONF\nN130 M2",
+        "RET",
+    ],
+)
+def test_sinumerik_lines_that_change_nothing(more: str) -> None:
+    found = both_directions(sinumerik.read(CEC + more))
+    assert found.plus_um == pytest.approx([0.0, -2.0, -4.0])
+    assert found.minus_um == pytest.approx([0.0, -2.0, -4.0])
+
+
+def test_a_sinumerik_table_of_another_ncu_is_refused() -> None:
+    with pytest.raises(InputError, match="axis of NCU 2 by one of NCU 1") as caught:
+        sinumerik.read(CEC + "$AN_CEC_INPUT_NCU[0]=1\n$AN_CEC_OUTPUT_NCU[0]=2\n")
+    assert caught.value.line == 3
+
+
+PROGRAM = """\
+%
+O9000
+{begin}
+N3605 P1 R00000000
+N3620 P1 R2
+N3621 P1 R1
+N3622 P1 R4
+N3623 P1 R1
+N3624 P1 R{width}
+N1851 P1 R3
+N10001 R1
+N10002 R-1
+N10003 R2
+N10004 R0
+G11
+M30
+%
+"""
+PUNCHED = """\
+%
+N01851Q1A1P3A2P0
+N03605Q1A1P00000000A2P00000001;
+N03620Q1A1P2A2P0
+N03621Q1A1P1A2P0
+N03622Q1A1P4A2P0
+N03623Q1A1P1A2P1
+N03624Q1A1{width}A2{width}
+N10001Q0P1
+N10002Q0P-1
+N10003Q0P2
+N10004Q0P0
+%
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        PROGRAM.format(begin="G10 L50", width="50000"),
+        PROGRAM.format(begin="G10L52;", width="50000"),
+        PROGRAM.format(begin="G10 L52", width="50.0").replace("N3605 P1 R00000000", "N3605 P1 Q0 R0\nN3605 P1 Q1 R1"),
+        PROGRAM.format(begin="G10 L52", width="50.").replace("N10001", "G11\nG10 L50\nN10001"),
+        PUNCHED.format(width="M50.0"),
+        PUNCHED.format(width="I1.968503937"),
+        PUNCHED.format(width="P50.0"),
+        PUNCHED.format(width="P50000").replace("Q1", "").replace("Q0", ""),  # 16i
+        PUNCHED.format(width="M50.0").replace("Q1A1", "Q1L1A1").replace("N10", "N00000Q1L1P00000000\nN10", 1),
+    ],
+)
+def test_fanuc_forms_of_one_table(text: str) -> None:
+    found = both_directions(fanuc.load(text))
+    assert found.position_mm == pytest.approx([-100.0, -50.0, 0.0, 50.0, 100.0])
+    assert found.plus_um == pytest.approx([0.0, 1.0, 0.0, 2.0, 2.0])
+    assert found.minus_um == pytest.approx([-3.0, -2.0, -3.0, -1.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "says", "line"),
+    [
+        (PUNCHED.format(width="M50.0").replace("P-1", "P-1.5"), "expected a whole number", 10),
+        (PUNCHED.format(width="M50.0").replace("N01851", "N03602Q1P00000001\nN01851"), "points are totals", 2),
+        ("%\nG54 X0\n", "G10 L50 or G10 L52, or parameters punched out", 2),
+        ("%\nG10 L52\nN3620 R1\nG11\n", "lacks its axis", 3),
+        ("%\n%\n", "neither a program", None),
+    ],
+)
+def test_fanuc_forms_that_are_not_read_are_named(text: str, says: str, line: int | None) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        fanuc.load(text)
+    assert caught.value.line == line
+
+
+@pytest.mark.parametrize(("series", "begin"), [("16i", "G10 L50"), ("30i", "G10 L52")])
+@pytest.mark.parametrize("one_way", [False, True])
+def test_a_fanuc_export_says_which_series_it_is_for(series: str, begin: str, one_way: bool) -> None:
+    tables = build(3, equidistant=True, constant_backlash=True)
+    chosen = FanucSettings(
+        series=series,
+        allow_shift=True,
+        tolerance_um=1.0,
+        magnification=5,
+        reference_mm=float(tables.nodes_mm[0]),
+        bidirectional=not one_way,
+    )
+    made = fanuc.export(tables, chosen)
+    assert made.text.splitlines()[2] == begin
+    assert any(begin in note and f"series {series}" in note for note in made.notes)
+    other = "30i" if series == "16i" else "16i"
+    assert any(f"--series {other}" in note for note in made.notes)
+    assert (
+        fanuc.load(made.text, chosen).digest()
+        == fanuc.load(fanuc.dump(tables, replace(chosen, series=other)), chosen).digest()
+    )
