@@ -191,7 +191,8 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables, 
         for button in (start, straightening):
             button.allow(of_builder())
         verifying.allow(of_reader() if corrected.value else view.why_not())
-        main = _next_step(kept.value)
+        job = desk.job()
+        main = "" if job is not None and job.running else _next_step(kept.value)
         lead({"calibrate": start, "verify": verifying, **following}.get(main), [start, verifying, *following.values()])
         for page, button in following.items():
             button.set_visibility(page == main)

@@ -219,7 +219,8 @@ class View:
         if not self.in_control:
             self.show_error(NotInControlError())
             return False
-        go = self.t(f"go.{job.kind.replace(' ', '_')}", axis=self.desk.name)
+        kind = "going_on" if job.plan.measured else job.kind.replace(" ", "_")
+        go = self.t(f"go.{kind}", axis=self.desk.name)
         if not await self.ask([*changes, *self.question(job.plan)], go):
             return False
         tokens = {desk: self.browser.tokens.get(desk.name) for desk in lent}

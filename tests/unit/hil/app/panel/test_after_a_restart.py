@@ -178,6 +178,7 @@ def test_going_on_stands_on_top_and_asks_with_what_is_left(kind: str, draw: Draw
         lines = [one.text for one in screen.all(ui.label) if one.props.get("data-name") == "question.line"]
         assert lines[0].startswith(f"2 of {count} positions are measured and kept; {count - 2} are left, at least ")
         assert not [line for line in lines if "will be captured" in line or "Rows will be written" in line]
+        assert screen.named("question.yes").text == "Go on"
         screen.begins("question.no")
         await asyncio.gather(*asking)
 
