@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -95,14 +96,15 @@ def run_calibration(
     backlash: SingleTable | None = None,
     resume: bool = False,
     recording: str = "",
+    then: Callable[[Calibration], None] = lambda _result: None,
 ) -> Calibration:
     """Prepares and calibrates; each set of tables is sealed and stored once it is proven.
 
     backlash: measured by other means (`hil.correction.manual.read_backlash`), beside the pitch that is measured now
 
     recording: file name of a replayed recording, "" for a real machine; store: None for a recording, whose tables are
-    not stored
-    Raises what `calibrate` and preparing the session raise.
+    not stored; then: the rest of the job, called before its campaign counts as finished
+    Raises what `calibrate`, preparing the session and `then` raise.
     """
     axis = machine.axis
     purpose = axis.purpose(CALIBRATE)
@@ -115,6 +117,7 @@ def run_calibration(
     store_tables = store.save_tables if store is not None else lambda _tables: None
     beside = {"straightness": straightness, "backlash": backlash}
     result = calibrate(machine.session, campaign, axis.correction, store_tables, listener, **beside)
+    then(result)
     campaign.finish()
     return result
 
@@ -433,8 +436,7 @@ def run_verification(
     Raises what preparing and measuring raise.
     """
     axis = machine.axis
-    purpose = {**axis.purpose(UNCORRECTED if compensation is None else VERIFY), "seed": seed}
-    purpose |= {} if compensation is None else compensation_in_force(compensation)
+    purpose = _verification_purpose(axis, compensation, seed)
     campaign = Campaign.numbered(axis.store.directory, purpose_of_replay(purpose, recording), resume=resume)
     tell_unchecked(campaign, listener)
     machine.session.prepare(campaign.directory, compensation)
@@ -443,6 +445,24 @@ def run_verification(
     result = verify(machine.session, campaign, name, axis.correction.band, listener, seed=seed)
     campaign.finish()
     return result
+
+
+def _verification_purpose(axis: AxisConfig, compensation: Compensation | None, seed: int) -> dict[str, Any]:
+    if compensation is None:
+        return {**axis.purpose(UNCORRECTED), "seed": seed}
+    return {**axis.purpose(VERIFY), "seed": seed, **compensation_in_force(compensation)}
+
+
+def run_proof(machine: Machine, listener: Listener, *, resume: bool) -> Verification:
+    """The verification that ends a calibration, of what it has put into force. resume: an interrupted one of the same is continued.
+
+    Raises as `run_verification`."""
+    compensation = machine.session.compensation
+    left = Campaign.unfinished(machine.axis.store.directory, VERIFY) if resume else None
+    same = left is not None and left.purpose == json.loads(
+        json.dumps(_verification_purpose(machine.axis, compensation, 1))
+    )
+    return run_verification(machine, compensation, listener, resume=same)
 
 
 @dataclass(frozen=True)

@@ -233,6 +233,21 @@ def interrupted_after(rows: int, error: BaseException, monkeypatch: pytest.Monke
     monkeypatch.setattr(RowJournal, "append", failing)
 
 
+def interrupted_in(kind: str, rows: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """From so many rows of a campaign of this kind on, appending one to it fails; the numbers of rows left."""
+    append, left = RowJournal.append, []
+
+    def failing(journal: RowJournal, row: dict[str, float]) -> None:
+        if journal.path.parent.name.startswith(kind):
+            left.append(rows - len(left) - 1)
+            if left[-1] < 0:
+                raise KeyboardInterrupt
+        append(journal, row)
+
+    monkeypatch.setattr(RowJournal, "append", failing)
+    return left
+
+
 def last_line(capsys: pytest.CaptureFixture[str]) -> str:
     return capsys.readouterr().err.splitlines()[-1]
 
@@ -276,6 +291,37 @@ def test_what_broke_off_ends_with_the_command_that_goes_on(
         interrupted_after(0, error, patch)
         assert main(shlex.split(command)[1:]) != 0
     assert last_line(capsys) == f"hil: go on with: {command}"
+
+
+@pytest.mark.parametrize(
+    ("verb", "options"),
+    [
+        ("calibrate", ()),
+        ("calibrate", ("--new-zero",)),
+        ("close-loop", ("--runs", "2", "--rows", "12", "--warm-up", "0", "--person", "none")),
+    ],
+)
+def test_a_proof_that_broke_off_is_gone_on_with_and_not_measured_anew(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str, options: tuple[str, ...]
+) -> None:
+    """The tables are stored by then; the campaign counts as finished when its proof is."""
+    typed = axis.parent / "typed.csv"
+    typed.write_text("position_mm,plus_um,minus_um\n20,1,2\n260,3,4\n")
+    assert main(["calibrate", str(axis), "--manual", str(typed)]) == 0
+    with monkeypatch.context() as patch:
+        proving = interrupted_in("verify", 3, patch)
+        assert main([verb, str(axis), *options]) == 130
+        assert proving
+    command = shlex.join(["hil", verb, str(axis), *(one for one in options if one != "--new-zero"), "--resume"])
+    assert last_line(capsys) == f"hil: go on with: {command}"
+    campaigns = axis.parent / "X-campaign"
+    begun = (campaigns / "verify-001" / "verify.csv").read_bytes()
+    assert main(shlex.split(command)[1:]) in (0, 1)
+    assert (campaigns / "verify-001" / "verify.csv").read_bytes().startswith(begun)
+    assert [path.name for path in campaigns.glob("verify-*")] == ["verify-001"]
+    assert main(["records", "list", str(axis.parent), "--json", str(axis.parent / "list.json")]) == 0
+    states = {one["state"] for one in json.loads((axis.parent / "list.json").read_text())["campaigns"]}
+    assert states == {"finished"}
 
 
 def pulled(_session: AxisSession, *_more: object) -> None:

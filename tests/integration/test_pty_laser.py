@@ -144,7 +144,7 @@ def test_a_lost_beam_takes_the_zero_with_it(rig: Rig) -> None:
     readings = rig.listen(10.0)
     lost = [r for r in readings if r.status is ReadingStatus.BEAM_LOST]
     assert all(r.position_mm is None for r in lost)
-    assert readings[-1].status is ReadingStatus.BEAM_LOST
+    assert readings[-1].status is ReadingStatus.LOST_BEFORE
     rig.laser.acknowledge_loss()
     after = rig.measure()
     assert abs(after - readings[0].position_mm) > 1.0  # counts were lost for 0.1 s at 2 MHz
@@ -181,7 +181,9 @@ def test_a_bad_line_costs_its_sample_and_nothing_else(rig: Rig) -> None:
 @pytest.mark.parametrize("rig", [BenchParameters(laser_faults=(Fault(FaultKind.RESTART, at_s=5.0),))], indirect=True)
 def test_a_restarted_instrument_is_noticed(rig: Rig) -> None:
     assert [r.status for r in rig.listen(4.9)][-1] is ReadingStatus.GOOD
-    assert rig.listen(0.5)[-1].status is ReadingStatus.HEAD_ERROR
+    after = [one.status for one in rig.listen(0.5)]
+    assert ReadingStatus.HEAD_ERROR in after
+    assert after[-1] is ReadingStatus.LOST_BEFORE
 
 
 def test_instrument_effects_show_in_the_reading() -> None:
@@ -272,7 +274,9 @@ def test_in_real_time_another_thread_may_read() -> None:
 )
 def test_a_signal_error_has_its_name(rig: Rig, status: ReadingStatus) -> None:
     assert {r.status for r in rig.listen(0.9)} == {ReadingStatus.GOOD}
-    assert rig.listen(2.0)[-1].status is status
+    after = [one.status for one in rig.listen(2.0)]
+    assert status in after
+    assert after[-1] in (status, ReadingStatus.LOST_BEFORE)
 
 
 @pytest.mark.parametrize("rig", [BenchParameters(laser=LaserParameters(reference_hz=2.5e5))], indirect=True)

@@ -31,12 +31,13 @@ from hil.app.terminal.summary import print_accuracy, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.calibrate import Calibration
 from hil.calibration.job import (
+    Verification,
     calibration_plan,
     enter_backlash,
     manual_tables,
     run_calibration,
     run_dense_pass,
-    run_verification,
+    run_proof,
     summarise,
     with_dense_pass,
     with_proof,
@@ -136,10 +137,14 @@ def run(args: argparse.Namespace) -> int:
         dense = run_dense_pass(machine, listener) if args.dense else None
         if dense is not None:
             print("\n".join(dense.sentences()))
-        result = run_calibration(machine, store, listener, **how)
-        proof = None
-        if store is not None and result.inside and not (args.record or args.without_proof):
-            proof = run_verification(machine, machine.session.compensation, listener)
+        proofs: list[Verification] = []
+
+        def prove(result: Calibration) -> None:
+            if store is not None and result.inside and not (args.record or args.without_proof):
+                proofs.append(run_proof(machine, listener, resume=args.resume))
+
+        result = run_calibration(machine, store, listener, **how, then=prove)
+        proof = proofs[0] if proofs else None
     summary = summarise(axis, result)
     found = None if proof is None else accuracy_of(axis, proof.records, corrected=True)
     _print(args, axis, result, summary, found)

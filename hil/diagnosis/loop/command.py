@@ -32,7 +32,7 @@ from hil.app.terminal.records_input import add_effects_option, read_effects
 from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration
-from hil.calibration.job import run_verification
+from hil.calibration.job import Verification, run_proof
 from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
 from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
 from hil.diagnosis.loop.next_run import runs_of
@@ -130,9 +130,7 @@ def run(args: argparse.Namespace) -> int:
         )
     store = None if args.replay else open_store(args, axis, writing=True)
     how = Exploration(args.runs, args.rows, args.warm_up)
-    in_motion = None
-    if args.feeds:
-        in_motion = passes_of(args, args.feeds, axis.instrument)
+    in_motion = passes_of(args, args.feeds, axis.instrument) if args.feeds else None
     turning = Turning(how, plan, _consent(args.person), effects=effects, in_motion=in_motion)
     with (
         attributing_errors(effects),
@@ -140,10 +138,15 @@ def run(args: argparse.Namespace) -> int:
         terminal_progress() as listener,
     ):
         tell_zero(args, machine)
-        loop = run_loop(machine, store, turning, listener, resume=args.resume, recording=recording_name(args))
-        proof = None
-        if store is not None and not (args.record or args.without_proof):
-            proof = run_verification(machine, machine.session.compensation, listener)
+        proofs: list[Verification] = []
+
+        def prove() -> None:
+            if store is not None and not (args.record or args.without_proof):
+                proofs.append(run_proof(machine, listener, resume=args.resume))
+
+        recording = recording_name(args)
+        loop = run_loop(machine, store, turning, listener, resume=args.resume, recording=recording, then=prove)
+        proof = proofs[0] if proofs else None
     found = None if proof is None else accuracy_of(axis, proof.records, corrected=True)
     if store is None:
         print("nothing is stored: this was a recording")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -88,13 +89,14 @@ def run_loop(
     *,
     resume: bool = False,
     recording: str = "",
+    then: Callable[[], None] = lambda: None,
 ) -> Loop:
     """Prepares and closes the loop; every compensation is sealed before it is used, and the diagnosis stored beside the
     rows.
 
     recording: file name of a replayed recording, "" for a real machine; store: None for a recording, whose results are
-    not stored
-    Raises what `close_loop` raises.
+    not stored; then: the rest of the job, called before its campaign counts as finished
+    Raises what `close_loop` and `then` raise.
     """
     axis = machine.axis
     purpose = loop_purpose(axis, turning)
@@ -106,6 +108,7 @@ def run_loop(
     for name, turn in (("before", loop.turn), ("motion-before", loop.in_motion)):
         if turn is not None:
             campaign.write(f"{name}{STORED}", json.dumps(shown_diagnosis(turn.follow, turn.diagnosed)).encode())
+    then()
     campaign.finish()
     return loop
 

@@ -129,10 +129,10 @@ def test_once_the_count_is_lost_there_is_no_position_until_someone_says_so(line:
     good = "3276 3276 100 0 0 {} 0 0"
     wire.say(good.format(1), line, good.format(3), good.format(4))
     readings = instrument.poll()
-    assert [reading.status for reading in readings] == [ReadingStatus.GOOD, status, status, status]
+    assert [reading.status for reading in readings] == [ReadingStatus.GOOD, status, *2 * (ReadingStatus.LOST_BEFORE,)]
     assert [reading.position_mm is None for reading in readings] == [False, True, True, True]
     assert instrument.loss_latched is status
-    instrument.acknowledge_loss()
+    assert instrument.acknowledge_loss()
     wire.say(good.format(5))
     assert instrument.poll()[0].status is ReadingStatus.GOOD
 
@@ -182,7 +182,7 @@ def test_a_port_that_was_away_took_the_zero_with_it() -> None:
         instrument.poll()
     wire.gone = False
     wire.say("276 100 0 0 2 0 0", "3276 3276 100 0 0 3 0 0")
-    assert [reading.status for reading in instrument.poll()] == [ReadingStatus.HEAD_ERROR]
+    assert [reading.status for reading in instrument.poll()] == [ReadingStatus.LOST_BEFORE]
     assert instrument.bad_lines == 1, "joined in mid-line again"
     instrument.acknowledge_loss()
     wire.say("3276 3276 100 0 0 4 0 0")

@@ -151,6 +151,7 @@ def test_looks_in_quick_succession_make_points_at_the_rate() -> None:
 
 def test_looks_that_come_unevenly_are_all_points() -> None:
     """Early by turns and late by turns, as a busy host makes them."""
+    now_s = 0.0
     board = Board(lambda: now_s)
     for look in range(200):
         now_s = 1000.0 + 0.05 * look + (0.02 if look % 2 else 0.0)
