@@ -87,10 +87,6 @@ class Deadline:
         self._clock = clock
         self.end_ns = end_ns
 
-    def remaining_s(self) -> float:
-        """Seconds left, 0.0 when it is over."""
-        return max(0, self.end_ns - self._clock.now_ns()) / NS_PER_S
-
     @property
     def expired(self) -> bool:
         """Whether the moment has passed."""

@@ -60,12 +60,6 @@ def frame_bits(identifier: int, data: bytes, *, remote: bool = False) -> int:
     return len(covered) + stuff_bits(covered) + TAIL_BITS + INTERFRAME_BITS
 
 
-def frame_bits_range(data_bytes: int) -> tuple[int, int]:
-    """(without stuffing, with the worst stuffing) in bits, of a base-format frame with that many data bytes."""
-    plain = 47 + 8 * data_bytes
-    return plain, plain + (33 + 8 * data_bytes) // 4
-
-
 def wire_time_ns(identifier: int, data: bytes, bitrate: int) -> int:
     """Time on the bus, ns, at `bitrate` bit/s."""
     return frame_bits(identifier, data) * 1_000_000_000 // bitrate

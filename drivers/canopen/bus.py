@@ -71,7 +71,6 @@ class CanLink:
         self._lock = threading.RLock()
         self._closed = False
         self._heartbeats: dict[int, tuple[float, Any]] = {}
-        self._open_bus: Callable[[], can.BusABC] | None = None
         self._checked_ns = 0  # last call of check_interrupt
         self.sync = Sync(clock)
         self.subscribe(SYNC, self.sync.heard)
@@ -93,26 +92,9 @@ class CanLink:
         settings: dict[str, object] = dict(options or {})
         if bitrate is not None:
             settings["bitrate"] = bitrate
-
-        def open_bus() -> can.BusABC:
-            return open_adapter(interface, channel, settings)
-
-        link = cls(open_bus(), clock)
-        link._open_bus, link._channel, link.place = open_bus, channel, f"{interface} {channel}"
+        link = cls(open_adapter(interface, channel, settings), clock)
+        link._channel, link.place = channel, f"{interface} {channel}"
         return link
-
-    def reopen(self) -> None:
-        """Open the bus again after it was lost (adapter unplugged, bus-off); subscriptions stay.
-
-        Drives on it have to be closed before and opened after: what they did meanwhile is unknown. Raises StateError for a
-        link that was given its bus, LinkLostError when the bus cannot be opened; then it may be tried again.
-        """
-        if self._open_bus is None:
-            raise StateError("this CAN link was given its bus and cannot open another")
-        self.close()
-        self.bus = self._open_bus()
-        self.sync.reset()
-        self._closed = False
 
     def close(self) -> None:
         """Close the bus; never raises for a bus that is already lost."""

@@ -67,10 +67,6 @@ class ProfileMoves:
             return written
         return dict(sorted(written.items(), key=lambda item: self._unit.map.registers[item[0]].span))
 
-    def ramp_settings(self, *names: str | None) -> dict[str, Raw]:
-        """The axis's highest acceleration for those of these registers that the drive has, raw."""
-        return self._settings(self._ramps(*names))
-
     def _ramps(self, *names: str | None) -> dict[str, float]:
         counts_s2 = self._limits.max_acceleration_mm_s2 * self._unit.scaling.counts_per_load_mm
         return {name: counts_s2 for name in names if name is not None}

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
+from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.backlash.result import BOTH, NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
 
 
@@ -45,11 +45,6 @@ def render_backlash(report: BacklashReport) -> str:
         _footer(),
     ]
     return page(report.title, parts)
-
-
-def torque_image(reversals: Sequence[Reversal], kind: str = "png") -> bytes:
-    """The plot of one run as a file, "png" or "svg"."""
-    return file_bytes(torque_plot(reversals, LIGHT), kind)
 
 
 def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:

@@ -75,11 +75,6 @@ class WindUp:
         return wound_um(form, self.position_mm, self.direction, self.turns_mm)
 
 
-def after_full_stroke(position_mm: float, direction: int) -> WindUp:
-    """The state at a place, mm, reached by a long motion in a direction. Raises InputError unless the direction is +1 or -1."""
-    return WindUp(position_mm, direction)
-
-
 def moved_to(form: Rises, state: WindUp, position_mm: float) -> tuple[WindUp, float]:
     """The state after a straight motion to a set-point, and the correction there in µm; a motion of no length changes nothing.
 

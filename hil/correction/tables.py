@@ -154,14 +154,6 @@ class DirectionalTable:
         ascend = bool(np.all(np.diff(both_mm) > 0.0))
         return (both_mm, np.concatenate([self.plus_um, self.minus_um]), apart_mm) if ascend else None
 
-    def plus_table(self) -> SingleTable:
-        """The corrections of the + direction, µm."""
-        return SingleTable(self.position_mm, self.plus_um)
-
-    def minus_table(self) -> SingleTable:
-        """The corrections of the - direction, µm."""
-        return SingleTable(self.position_mm, self.minus_um)
-
     def plus(self, other: DirectionalTable) -> DirectionalTable:
         """The sum, on the nodes of both."""
         nodes = np.union1d(self.position_mm, other.position_mm)

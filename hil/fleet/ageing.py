@@ -129,14 +129,6 @@ class Aged:
         return self.watched.nearness(either=self.series.about.either)
 
     @property
-    def growth_sigmas(self) -> float:
-        """Growth in its standard deviations, in the direction that is for the worse."""
-        if self.growth is None or self.growth.std_um == 0.0:
-            return 0.0
-        found = self.growth.slope_um / self.growth.std_um
-        return abs(found) if self.series.about.either else found
-
-    @property
     def rank(self) -> tuple[bool, float, float]:
         """The larger, the sooner to look at: alarms that stand first, by growth as a share of the level; then the
         nearest to an alarm."""

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
+from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.effects.history import LONG_STROKE_MM
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
 from hil.lost_motion.published import BesidePublished
@@ -78,11 +78,6 @@ def render_lost_motion(report: LostMotionReport) -> str:
         _footer(),
     ]
     return page(report.title, parts)
-
-
-def rise_image(estimate: Estimate, kind: str = "png") -> bytes:
-    """The plot of the rise as a file, "png" or "svg"."""
-    return file_bytes(rise_plot(estimate, LIGHT), kind)
 
 
 def rise_plot(estimate: Estimate, theme: Theme) -> Figure:

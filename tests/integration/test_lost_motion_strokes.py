@@ -15,7 +15,8 @@ import pytest
 
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.rise import STRAIGHT_PIECES, TWO_TANH, Rise
-from hil.correction.running_lost_motion import after_full_stroke, moved_to
+from hil.correction.running_lost_motion import WindUp as State
+from hil.correction.running_lost_motion import moved_to
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.lost_motion.estimate import Estimate, estimate
 from hil.lost_motion.fit import MeasuredReversal, fit
@@ -58,7 +59,7 @@ def test_no_over_compensation_after_any_strokes(record_property: Callable[[str, 
         reversal = measured(lost, distance_mm)
         forms = [fit(shape, [reversal], table=False).rise for shape in (TWO_TANH, STRAIGHT_PIECES)]
         for _ in range(SEQUENCES):
-            machine, state, position_mm = wound_up(lost), after_full_stroke(0.0, 1), 0.0
+            machine, state, position_mm = wound_up(lost), State(0.0, 1), 0.0
             turn_mm = -500.0
             for _ in range(STROKES):
                 before, position_mm = (

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from hil.app.report import markup
 from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
+from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.lost_motion.circle.figures import AFTER_DEG, BEFORE_DEG, QUADRANTS_DEG, Trace, ring_of
 
 _SHARE = 0.35
@@ -63,11 +63,6 @@ def render_circle(report: CircleReport) -> str:
         _footer(),
     ]
     return page(report.title, parts)
-
-
-def circle_image(report: CircleReport, kind: str = "png") -> bytes:
-    """The polar plot as a file, "png" or "svg"."""
-    return file_bytes(polar_plot(report, LIGHT), kind)
 
 
 def polar_plot(report: CircleReport, theme: Theme) -> Figure:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh, published_um
-from hil.correction.running_lost_motion import WindUp, after_full_stroke, moved_to
+from hil.correction.running_lost_motion import WindUp, moved_to
 
 FORM = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0, onset_2_mm=1.0)
 
@@ -39,7 +39,7 @@ def run(form: TwoTanh, state: WindUp, travels: list[float]) -> tuple[WindUp, lis
 def test_no_step_larger_than_slope_times_travel_and_never_beyond_its_ends(
     form: TwoTanh, direction: int, path: list[float]
 ) -> None:
-    _, course = run(form, after_full_stroke(0.0, direction), path)
+    _, course = run(form, WindUp(0.0, direction), path)
     for (x0, c0), (x1, c1) in pairwise(course):
         assert abs(c1 - c0) <= form.steepest_um_per_mm * abs(x1 - x0) + 1e-9
         assert (c1 - c0) * (x1 - x0) >= -1e-9  # it never runs against the motion
@@ -51,7 +51,7 @@ def test_no_step_larger_than_slope_times_travel_and_never_beyond_its_ends(
 def test_how_a_motion_is_cut_into_set_points_makes_no_difference(
     form: TwoTanh, direction: int, path: list[float], parts: int
 ) -> None:
-    state = cut = after_full_stroke(0.0, direction)
+    state = cut = WindUp(0.0, direction)
     for travel in path:
         start = state.position_mm
         state, whole = moved_to(form, state, start + travel)
@@ -67,7 +67,7 @@ def test_after_a_full_stroke_it_is_the_published_form_whatever_was_before(
     form: TwoTanh, path: list[float], direction: int, share: float
 ) -> None:
     full_mm = 25.0 * max(form.rise_1_mm, form.rise_2_mm) + form.onset_2_mm  # 1 - tanh 25 is below the last digit
-    state, _ = run(form, after_full_stroke(0.0, 1), path)
+    state, _ = run(form, WindUp(0.0, 1), path)
     state, _ = run(form, state, [400.0, -400.0 - full_mm] if direction > 0 else [-400.0, 400.0 + full_mm])
     at_turn = state.correction_um(form)
     travel_mm = share * 4.0 * max(form.rise_1_mm, form.rise_2_mm)
@@ -82,7 +82,7 @@ def test_after_a_full_stroke_it_is_the_published_form_whatever_was_before(
 def test_a_short_stroke_and_back_leaves_no_trace_however_often(
     form: TwoTanh, direction: int, path: list[float], share: float, times: int
 ) -> None:
-    state, _ = run(form, after_full_stroke(0.0, direction), path)
+    state, _ = run(form, WindUp(0.0, direction), path)
     there = state.position_mm
     open_mm = abs(there - state.turns_mm[-1]) if state.turns_mm else 8.0  # a longer one closes the loop it is in
     dip_mm = share * open_mm * 0.99
@@ -95,7 +95,7 @@ def test_a_short_stroke_and_back_leaves_no_trace_however_often(
 
 def test_literal_course_with_a_partial_stroke_inside_a_partial_stroke() -> None:
     form = TwoTanh(10.0, 0.0, 1.0, 1.0)  # 10·tanh(travel)
-    _, course = run(form, after_full_stroke(0.0, -1), [2.0, -1.0, 0.5, -0.25, 0.25, 0.5, 1.0, -50.0])
+    _, course = run(form, WindUp(0.0, -1), [2.0, -1.0, 0.5, -0.25, 0.25, 0.5, 1.0, -50.0])
     t = math.tanh
     assert [c for _, c in course] == pytest.approx(
         [
@@ -114,7 +114,7 @@ def test_literal_course_with_a_partial_stroke_inside_a_partial_stroke() -> None:
 
 
 def test_memory_is_of_open_loops_only() -> None:
-    state, _ = run(FORM, after_full_stroke(0.0, 1), [-1.0, 0.5, -0.25])
+    state, _ = run(FORM, WindUp(0.0, 1), [-1.0, 0.5, -0.25])
     assert len(state.turns_mm) == 3
     state, _ = moved_to(FORM, state, 7.0)
     assert state == WindUp(7.0, 1)
@@ -123,7 +123,7 @@ def test_memory_is_of_open_loops_only() -> None:
 
 
 def test_a_state_is_a_value() -> None:
-    state = after_full_stroke(0.0, 1)
+    state = WindUp(0.0, 1)
     once, again = moved_to(FORM, state, -0.3), moved_to(FORM, state, -0.3)
     assert once == again
     assert moved_to(FORM, state, 0.0) == (state, 12.0)
@@ -134,10 +134,10 @@ def test_a_state_is_a_value() -> None:
 @pytest.mark.parametrize("direction", [0, 2])
 def test_an_unknown_direction_of_arrival_is_refused(direction: int) -> None:
     with pytest.raises(InputError, match="direction of arrival"):
-        after_full_stroke(0.0, direction)
+        WindUp(0.0, direction)
 
 
 @pytest.mark.parametrize("position_mm", [math.nan, math.inf])
 def test_a_set_point_that_is_no_place_is_refused(position_mm: float) -> None:
     with pytest.raises(InputError, match="finite position"):
-        moved_to(FORM, after_full_stroke(0.0, 1), position_mm)
+        moved_to(FORM, WindUp(0.0, 1), position_mm)

@@ -21,7 +21,7 @@ from hil.correction.rise import (
     Rise,
     Shape,
 )
-from hil.correction.running_lost_motion import after_full_stroke, moved_to
+from hil.correction.running_lost_motion import WindUp, moved_to
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
@@ -93,7 +93,7 @@ def test_with_a_table_in_force_no_slope_is_looked_for() -> None:
 def test_after_a_short_stroke_only_rows_within_it_count() -> None:
     """Beyond it the axis is back on the branch before, which in the running form has nothing left to give."""
     form = TwoTanh(8.0, 0.0, 2.0, 2.0)
-    state, _ = moved_to(form, after_full_stroke(0.0, 1), -3.0)
+    state, _ = moved_to(form, WindUp(0.0, 1), -3.0)
     start = state.correction_um(form)
     assert start > 0.5  # not wound up fully
     error_um = []

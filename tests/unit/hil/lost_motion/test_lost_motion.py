@@ -17,7 +17,7 @@ from hil.app.panel.texts import Texts
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise
-from hil.correction.running_lost_motion import after_full_stroke, moved_to
+from hil.correction.running_lost_motion import WindUp, moved_to
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, term_from_json
 from hil.lost_motion.estimate import Estimate, Uncertain
@@ -52,7 +52,7 @@ def place_um(x: Floats | float) -> Floats:
 
 def driven(steps: list[Step], correction_um: Floats | None = None, truth: Rise = TRUTH) -> Records:
     """The machine: what belongs to the place, and a wind-up that follows the *targets* (it is asked about its bookkeeping only)."""
-    state, rows = after_full_stroke(HOW.high_mm, 1), []
+    state, rows = WindUp(HOW.high_mm, 1), []
     state, _ = moved_to(truth, state, steps[0].target_mm - 9.0 * steps[0].direction)
     for number, step in enumerate(steps):
         state, wound_um = moved_to(truth, state, step.target_mm)
