@@ -40,7 +40,7 @@ from hil.axis.connections import BENCH_MACHINES, DriveConfig, HomingConfig, read
 from hil.axis.instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis.lost_motion import LostMotionConfig, read_lost_motion
 from hil.correction.bound import CAREFUL, CorrectionBound
-from hil.correction.tables import Band, SignedSections, TableMode
+from hil.correction.tables import INTERPOLATIONS, Band, SignedSections, TableMode
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.figures.verdict import Accuracy, accuracy
 from hil.records.rows import Records
@@ -131,6 +131,7 @@ class CorrectionConfig:
     fine_step_um: Positive = 0.1
     fine_range_um: Positive = 3.0
     combined: bool = False
+    interpolation: Annotated[str, one_of(*INTERPOLATIONS)] = INTERPOLATIONS[0]
     straightness_share: Share = 0.0
     bound: Annotated[CorrectionBound, Key("")] = CAREFUL
     signs: tuple[SignedSections, ...] = ()

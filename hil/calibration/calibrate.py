@@ -79,7 +79,7 @@ def calibrate(
     store: Store,
     listener: Listener = silent,
     *,
-    straightness: SingleTable | None = None,
+    straightness: DirectionalTable | None = None,
     backlash: SingleTable | None = None,
 ) -> Calibration:
     """Runs the whole calibration on a prepared session.
@@ -209,11 +209,13 @@ def _rms_um(errors_um: Sequence[float]) -> float:
 
 def as_stored(tables: TableSet, correction: CorrectionConfig) -> TableSet:
     """The tables in the form in which they are stored: with a share moved to straightness, or combined; the total
-    correction is the same.
+    correction at the targets is the same, and between them too unless it goes by steps.
     """
     if tables.specified is not None and correction.straightness_share > 0:
-        return split_specified(tables, correction.straightness_share)
-    return tables.combined() if correction.combined else tables
+        tables = split_specified(tables, correction.straightness_share)
+    elif correction.combined:
+        tables = tables.combined()
+    return tables.stepped() if correction.interpolation == "step" else tables
 
 
 def _outside(records: Records, band: Band | None) -> list[Outside]:

@@ -92,7 +92,7 @@ def run_calibration(
     store: SealedStore | None,
     listener: Listener = silent,
     *,
-    straightness: SingleTable | None = None,
+    straightness: DirectionalTable | None = None,
     backlash: SingleTable | None = None,
     resume: bool = False,
     recording: str = "",
@@ -115,8 +115,9 @@ def run_calibration(
     _tell_other_parameters(machine, store, listener)
     machine.session.prepare(campaign.directory)
     store_tables = store.save_tables if store is not None else lambda _tables: None
-    beside = {"straightness": straightness, "backlash": backlash}
-    result = calibrate(machine.session, campaign, axis.correction, store_tables, listener, **beside)
+    result = calibrate(
+        machine.session, campaign, axis.correction, store_tables, listener, straightness=straightness, backlash=backlash
+    )
     then(result)
     campaign.finish()
     return result
@@ -136,7 +137,7 @@ def _tell_other_parameters(machine: Machine, store: SealedStore | None, listener
 def calibration_job(
     axis: AxisConfig,
     *,
-    straightness: SingleTable | None = None,
+    straightness: DirectionalTable | None = None,
     backlash: SingleTable | None = None,
     resume: bool = False,
     zero: ZeroStatement = NO_STATEMENT,
@@ -156,11 +157,8 @@ def calibration_job(
     plan = zero.in_plan(calibration_plan(axis))
     if resume:
         plan = going_on(plan, axis.store.directory, CALIBRATE)
-    beside = [
-        Write(name, str(Part.of(table.value_um)))
-        for name, table in (("straightness", straightness), ("backlash", backlash))
-        if table is not None
-    ]
+    beside = [] if straightness is None else [Write("straightness", str(Part.of_both(straightness)))]
+    beside += [] if backlash is None else [Write("backlash", str(Part.of(backlash.value_um)))]
     if axis.correction.band is not None:
         beside.append(Write("signs", signs_text(axis.correction.band)))
     return Job(CALIBRATE, replace(plan, writes=(*plan.writes, *beside)), work)
@@ -318,6 +316,11 @@ class Part:
         """The part with these corrections."""
         return cls(len(values_um), float(values_um.min()), float(values_um.max()))
 
+    @classmethod
+    def of_both(cls, table: DirectionalTable) -> Part:
+        """The part of both directions of a table."""
+        return replace(cls.of(np.concatenate([table.plus_um, table.minus_um])), places=len(table.position_mm))
+
     def __str__(self) -> str:
         return f"{self.low_um:.2f} to {self.high_um:.2f} µm, {self.places} places"
 
@@ -330,14 +333,15 @@ def parts_of(tables: TableSet) -> dict[str, Part]:
     if specified is not None:
         parts |= {"specified_plus": specified.plus_um, "specified_minus": specified.minus_um}
     if straightness is not None:
-        parts["straightness_across" if tables.straightness_axis else "straightness"] = straightness.value_um
+        name = "straightness_across" if tables.straightness_axis else "straightness"
+        return {each: Part.of(values_um) for each, values_um in parts.items()} | {name: Part.of_both(straightness)}
     return {name: Part.of(values_um) for name, values_um in parts.items()}
 
 
 def manual_tables(
     axis: AxisConfig,
     path: str | Path,
-    straightness: SingleTable | None = None,
+    straightness: DirectionalTable | None = None,
     backlash: SingleTable | None = None,
 ) -> TableSet:
     """Typed tables in the form in which the axis file has them stored, with a straightness correction and a backlash beside them.

@@ -2,7 +2,7 @@
 
 While this axis moves, the other one is moved by what the table says for the place (`hil.machine.cross_axis`). The deviation counts
 from the least-squares line through the mean deviations (ISO 230-1, straightness): how the optics lie to the axis is not known, and
-squareness is not measured here. The table has one value per place, for both directions.
+squareness is not measured here. The table has a value per place and direction.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 from drivers.errors import InputError, UnprovenError
 from hil.axis.axis_file import AxisConfig, StraightnessConfig
 from hil.correction.compensation import Compensation
-from hil.correction.tables import SingleTable, TableSet, section_means, straightness_table
+from hil.correction.tables import TableSet, section_means, straightness_table
 from hil.machine.events import Listener, silent
 from hil.machine.measure import bidirectional_steps, measure, other_targets
 from hil.machine.session import AxisSession
@@ -32,23 +32,33 @@ TWICE = 1.5
 class Straightness:
     """The straightness of one pass.
 
-    deviation_um: from the least-squares line, (m,), the mean of both directions; mean_std_um: standard deviation of such a mean by the
-    scatter of the runs, NaN of a single run; reversal_um: largest difference between the directions, which no table corrects
+    plus_um, minus_um: deviation of each direction from the least-squares line through the means of both, (m,); mean_std_um: standard
+    deviation of such a mean by the scatter of the runs, NaN of a single run
     """
 
     target_mm: Floats
-    deviation_um: Floats
+    plus_um: Floats
+    minus_um: Floats
     mean_std_um: float
-    reversal_um: float
+
+    @property
+    def deviation_um(self) -> Floats:
+        """The mean of both directions."""
+        return np.asarray((self.plus_um + self.minus_um) / 2.0)
+
+    @property
+    def reversal_um(self) -> float:
+        """Largest difference between the directions."""
+        return float(np.max(np.abs(self.plus_um - self.minus_um)))
 
     @property
     def rms_um(self) -> float:
-        """Root mean square of the deviations."""
-        return float(np.sqrt(np.mean(np.square(self.deviation_um))))
+        """Root mean square of the deviations of both directions."""
+        return float(np.sqrt(np.mean(np.square([self.plus_um, self.minus_um]))))
 
     @property
     def range_um(self) -> float:
-        """Largest less smallest deviation: the straightness deviation of ISO 230-1."""
+        """Largest less smallest mean of both directions: the straightness deviation of ISO 230-1."""
         return float(np.ptp(self.deviation_um))
 
     @property
@@ -98,8 +108,9 @@ def straightness_of(records: Records, column: str) -> Straightness:
         raise InputError(f"section at {means.target_mm[np.isnan(both)][0]:g} mm was not measured in both directions")
     line = np.polyval(np.polyfit(means.target_mm, both, 1), means.target_mm)
     each = len(records) / len(both)
-    reversal_um = float(np.max(np.abs(means.plus_um - means.minus_um)))
-    return Straightness(means.target_mm, both - line, means.pooled_std_um / math.sqrt(each), reversal_um)
+    return Straightness(
+        means.target_mm, means.plus_um - line, means.minus_um - line, means.pooled_std_um / math.sqrt(each)
+    )
 
 
 def straightness_in(axis: AxisConfig, records: Records) -> Straightness | None:
@@ -162,7 +173,8 @@ def measure_straightness(
     session.compensation = base
     rows = measure(session, campaign, "measure", bidirectional_steps(how.targets_mm, how.runs), listener)
     measured = straightness_of(rows, config.column)
-    table: SingleTable = straightness_table(measured.target_mm, config.sign * measured.deviation_um)
+    by_direction = (config.sign * measured.plus_um, config.sign * measured.minus_um)
+    table = straightness_table(measured.target_mm, *by_direction)
     tables = replace(base.tables, straightness=table, straightness_axis=cross.name)
     compensation = replace(base, tables=tables)
     compensation.check(session.command_state.bound, "straightness correction computed from these runs not used")

@@ -201,7 +201,8 @@ class Compensation:
         bound.check_curves(what, nodes, curves)
         if tables.straightness is not None and tables.straightness_axis:
             across = tables.straightness
-            bound.check_curves(f"{what}, to axis {tables.straightness_axis}", across.position_mm, {1: across.value_um})
+            curves = {1: across.plus_um, -1: across.minus_um}
+            bound.check_curves(f"{what}, to axis {tables.straightness_axis}", across.position_mm, curves)
 
     def check_rows(self, bound: CorrectionBound, what: str, columns: Columns) -> None:
         """Hold the correction of measured rows, sensors and all, against a bound. Rows that lack a value are left out.

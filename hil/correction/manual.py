@@ -22,7 +22,6 @@ from hil.correction.tables import (
     SingleTable,
     TableMode,
     TableSet,
-    straightness_table,
 )
 from hil.records.files import split_lines
 from hil.records.rows import Floats, parse_number, shown
@@ -35,6 +34,8 @@ _KNOWN = (
     "specified_plus_um",
     "specified_minus_um",
     "straightness_um",
+    "straightness_plus_um",
+    "straightness_minus_um",
 )
 
 
@@ -70,10 +71,21 @@ def read_manual_tables(path: str | Path, backlash: SingleTable | None = None) ->
             DirectionalTable(positions, columns["specified_plus_um"], columns["specified_minus_um"])
             if "specified_plus_um" in columns
             else None,
-            SingleTable(positions, columns["straightness_um"]) if "straightness_um" in columns else None,
+            _by_direction(columns, "straightness", path),
         )
     except InputError as error:
         raise InputError(error.what, path=path) from error
+
+
+def _by_direction(columns: dict[str, Floats], what: str, path: str | Path) -> DirectionalTable | None:
+    """A table with one column for both directions, `what_um`, or with one for each; None without any."""
+    both, *each = f"{what}_um", f"{what}_plus_um", f"{what}_minus_um"
+    have = [name for name in each if name in columns]
+    if len(have) == 1 or (have and both in columns):
+        raise InputError(f"needs {both} alone, or both {each[0]} and {each[1]}", path=path, line=1)
+    if have:
+        return DirectionalTable(columns["position_mm"], *(columns[name] for name in each))
+    return DirectionalTable.alike(columns["position_mm"], columns[both]) if both in columns else None
 
 
 def read_backlash(path: str | Path) -> SingleTable:
@@ -108,13 +120,19 @@ def read_signs(path: str | Path, text: str | None = None) -> tuple[SignedSection
         raise InputError(error.what, path=path) from error
 
 
-def read_straightness(path: str | Path) -> SingleTable:
-    """A straightness correction from measured deviations: CSV with `position_mm` and `deviation_um` (correction = -deviation)."""
-    columns = _read_columns(path, ("position_mm", "deviation_um"), ("position_mm", "deviation_um"))
+def read_straightness(path: str | Path) -> DirectionalTable:
+    """A straightness correction from measured deviations (correction = -deviation): CSV with `position_mm` and `deviation_um`, or
+    `deviation_plus_um` and `deviation_minus_um`.
+    """
+    names = ("position_mm", "deviation_um", "deviation_plus_um", "deviation_minus_um")
+    columns = _read_columns(path, names, ("position_mm",))
     try:
-        return straightness_table(columns["position_mm"], columns["deviation_um"])
+        deviation = _by_direction(columns, "deviation", path)
     except InputError as error:
         raise InputError(error.what, path=path) from error
+    if deviation is None:
+        raise InputError("header lacks deviation_um", path=path, line=1)
+    return deviation.scaled(-1.0)
 
 
 def _read_columns(

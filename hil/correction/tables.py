@@ -35,6 +35,10 @@ class TableMode(Enum):
     MEAN_BACKLASH = "mean+backlash"  # the mean of both directions, and the backlash beside it, half of it each way
 
 
+INTERPOLATIONS = ("linear", "step")
+"""Between two targets: the correction changes in proportion, or each section around a target keeps its value."""
+RAMP_MM = 0.001
+"""Travel over which the correction changes from one section to the next, of "step": a set-point apart at 1 mm/s and 1 ms."""
 _MANY = 1000
 """Positions from which one search in a joined table takes less time than two (`tests/bench/test_engine_cost.py`)."""
 
@@ -57,6 +61,22 @@ def _positions(values: ArrayLike) -> Floats:
     return array
 
 
+def _section_ends(position_mm: Floats) -> Floats:
+    """Begin and end of the section around each position, mm, (2 n,); sections are a ramp apart. The outer ones end a ramp outside.
+
+    Raises InputError for positions that are not two ramps apart.
+    """
+    gaps = np.diff(position_mm)
+    if len(gaps) and float(gaps.min()) < 2.0 * RAMP_MM:
+        raise InputError(
+            f"sections of {gaps.min():g} mm: expected at least {2.0 * RAMP_MM:g} mm for a correction by steps"
+        )
+    half = position_mm[:-1] + gaps / 2.0
+    begins = np.concatenate([[position_mm[0] - RAMP_MM], half + RAMP_MM / 2.0])
+    ends = np.concatenate([half - RAMP_MM / 2.0, [position_mm[-1] + RAMP_MM]])
+    return np.column_stack([begins, ends]).ravel()
+
+
 def _is_plus(direction: ArrayLike) -> NDArray[np.bool_]:
     """Where a direction is +1; a direction that is neither +1 nor -1 is refused, never guessed."""
     signs = np.asarray(direction, dtype=np.float64)
@@ -72,7 +92,7 @@ def _same_length(name: str, array: Floats, positions: Floats) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SingleTable:
-    """One value per position: a backlash table (D = C - B, µm) or a straightness correction (µm)."""
+    """One value per position: a backlash table, D = C - B, µm."""
 
     position_mm: Floats
     value_um: Floats
@@ -94,14 +114,13 @@ class SingleTable:
             np.interp(np.asarray(position_mm, dtype=np.float64), self.position_mm, self.value_um), dtype=np.float64
         )
 
+    def stepped(self) -> SingleTable:
+        """See `TableSet.stepped`."""
+        return SingleTable(_section_ends(self.position_mm), np.repeat(self.value_um, 2))
+
     def on(self, position_mm: Floats) -> SingleTable:
         """The same function on other nodes (exact where they contain the old ones)."""
         return SingleTable(position_mm, self.at(position_mm))
-
-    def plus(self, other: SingleTable) -> SingleTable:
-        """The sum, on the nodes of both."""
-        nodes = np.union1d(self.position_mm, other.position_mm)
-        return SingleTable(nodes, self.at(nodes) + other.at(nodes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,8 +146,18 @@ class DirectionalTable:
     @classmethod
     def constant(cls, position_mm: Floats, value_um: float) -> DirectionalTable:
         """The same value everywhere, in both directions."""
-        values = np.full(len(position_mm), value_um)
-        return cls(position_mm, values, values)
+        return cls.alike(position_mm, np.full(len(position_mm), value_um))
+
+    @classmethod
+    def alike(cls, position_mm: ArrayLike, value_um: ArrayLike) -> DirectionalTable:
+        """The same values in both directions."""
+        values = _column(value_um, "value_um")
+        return cls(_positions(position_mm), values, values)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether both directions have the same values."""
+        return bool(np.all(self.plus_um == self.minus_um))
 
     def at(self, position_mm: ArrayLike, direction: ArrayLike) -> Floats:
         """Correction in µm at positions, arrived at in a direction, broadcast together. InputError unless it is +1 or -1."""
@@ -154,10 +183,20 @@ class DirectionalTable:
         ascend = bool(np.all(np.diff(both_mm) > 0.0))
         return (both_mm, np.concatenate([self.plus_um, self.minus_um]), apart_mm) if ascend else None
 
+    def stepped(self) -> DirectionalTable:
+        """See `TableSet.stepped`."""
+        ends = _section_ends(self.position_mm)
+        return DirectionalTable(ends, np.repeat(self.plus_um, 2), np.repeat(self.minus_um, 2))
+
     def plus(self, other: DirectionalTable) -> DirectionalTable:
         """The sum, on the nodes of both."""
         nodes = np.union1d(self.position_mm, other.position_mm)
         return DirectionalTable(nodes, self.at(nodes, 1) + other.at(nodes, 1), self.at(nodes, -1) + other.at(nodes, -1))
+
+    def plus_at_own(self, other: DirectionalTable) -> DirectionalTable:
+        """The sum on this table's own nodes."""
+        nodes = self.position_mm
+        return DirectionalTable(nodes, self.plus_um + other.at(nodes, 1), self.minus_um + other.at(nodes, -1))
 
     def scaled(self, factor: float) -> DirectionalTable:
         """All corrections times a factor."""
@@ -174,7 +213,7 @@ class TableSet:
     directions are mean + backlash/2 and mean - backlash/2: a backlash that was measured by other means takes the place of the
     directions' own difference, so that it is counted once.
     specified: the specified-accuracy correction (E in the + direction, F in the - direction), or None
-    straightness: a correction in µm from a straightness (tilt) measurement, or None
+    straightness: a correction in µm from a straightness (tilt) measurement, by position and direction, or None
     straightness_axis: which axis's command it is added to; "" is this axis, otherwise the name of the cross axis
     """
 
@@ -182,7 +221,7 @@ class TableSet:
     pitch: DirectionalTable
     backlash: SingleTable | None = None
     specified: DirectionalTable | None = None
-    straightness: SingleTable | None = None
+    straightness: DirectionalTable | None = None
     straightness_axis: str = ""
 
     def __post_init__(self) -> None:
@@ -227,14 +266,16 @@ class TableSet:
         if self.specified is not None:
             total = total + self.specified.at(position_mm, direction)
         if self.straightness is not None and not self.straightness_axis:
-            total = total + self.straightness.at(position_mm)
+            total = total + self.straightness.at(position_mm, direction)
         return total
 
-    def cross_correction_um(self, position_mm: ArrayLike, cross_axis: str) -> Floats:
-        """What this axis's position adds to the command of another axis, µm; zero unless a straightness table names it."""
+    def cross_correction_um(self, position_mm: ArrayLike, direction: ArrayLike, cross_axis: str) -> Floats:
+        """What this axis's position, arrived at in a direction, adds to the command of another axis, µm; zero unless a straightness
+        table names it.
+        """
         if self.straightness is None or not cross_axis or cross_axis != self.straightness_axis:
             return np.zeros(np.shape(position_mm))
-        return self.straightness.at(position_mm)
+        return self.straightness.at(position_mm, direction)
 
     def with_backlash(self, backlash: SingleTable) -> TableSet:
         """The same pitch with a backlash that was measured by other means, on positions of its own; it counts once.
@@ -263,6 +304,16 @@ class TableSet:
             backlash = SingleTable(nodes, backlash.at(nodes) + moved)
         return replace(self, pitch=pitch, backlash=backlash, specified=None)
 
+    def stepped(self) -> TableSet:
+        """Each table with one value for the section around each of its positions, up to half-way to the next (claims 1 and 2, S6)."""
+        return replace(
+            self,
+            pitch=self.pitch.stepped(),
+            backlash=None if self.backlash is None else self.backlash.stepped(),
+            specified=None if self.specified is None else self.specified.stepped(),
+            straightness=None if self.straightness is None else self.straightness.stepped(),
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """A JSON-able form; `from_dict` gives the same tables back bit for bit."""
         return {
@@ -271,7 +322,7 @@ class TableSet:
             "pitch": _directional_dict(self.pitch),
             "backlash": None if self.backlash is None else _single_dict(self.backlash),
             "specified": None if self.specified is None else _directional_dict(self.specified),
-            "straightness": None if self.straightness is None else _single_dict(self.straightness),
+            "straightness": None if self.straightness is None else _directional_dict(self.straightness),
             "straightness_axis": self.straightness_axis,
         }
 
@@ -307,7 +358,7 @@ _PARTS: Mapping[str, type[SingleTable | DirectionalTable]] = {
     "pitch": DirectionalTable,
     "backlash": SingleTable,
     "specified": DirectionalTable,
-    "straightness": SingleTable,
+    "straightness": DirectionalTable,
 }
 
 
@@ -324,6 +375,11 @@ def _part(kind: type[SingleTable | DirectionalTable], data: object, name: str) -
     """One table of the plain form; only JSON numbers are numbers in it, neither true nor "1"."""
     if not isinstance(data, Mapping):
         raise InputError(f"{name} is {type(data).__name__}, expected a table")
+    if kind is DirectionalTable and set(data) == {
+        "position_mm",
+        "value_um",
+    }:  # straightness stored before it had directions
+        data = {"position_mm": data["position_mm"], "plus_um": data["value_um"], "minus_um": data["value_um"]}
     columns = tuple(column.name for column in fields(kind))
     _check_keys(data, columns, name)
     for column in columns:
@@ -385,7 +441,7 @@ def section_means(records: Records, error_um: Floats | None = None) -> SectionMe
 
 
 def compute_tables(
-    records: Records, mode: TableMode = TableMode.BIDIRECTIONAL, straightness: SingleTable | None = None
+    records: Records, mode: TableMode = TableMode.BIDIRECTIONAL, straightness: DirectionalTable | None = None
 ) -> TableSet:
     """Pitch and backlash tables from measured runs (system A).
 
@@ -399,8 +455,8 @@ def compute_tables(
         lacking = means.target_mm[np.isnan(values)]
         if len(lacking):
             raise InputError(f"section at {lacking[0]:g} mm was not measured in the {direction} direction")
-    share = 0.0 if straightness is None else straightness.at(means.target_mm)
-    pitch = DirectionalTable(means.target_mm, -means.plus_um - share, -means.minus_um - share)
+    own = DirectionalTable(means.target_mm, -means.plus_um, -means.minus_um)
+    pitch = own if straightness is None else own.plus_at_own(straightness.scaled(-1.0))
     backlash = SingleTable(means.target_mm, pitch.plus_um - pitch.minus_um)
     return TableSet(mode, pitch, backlash, straightness=straightness)
 
@@ -616,7 +672,7 @@ def revise(
 def split_specified(tables: TableSet, straightness_share: float) -> TableSet:
     """Share the specified-accuracy correction out between pitch and straightness.
 
-    part_straightness = share · mean(E, F), part_pitch = specified - part_straightness; stored pitch = pitch + part_pitch, stored
+    part_straightness = share · E and share · F, part_pitch = specified - part_straightness; stored pitch = pitch + part_pitch, stored
     straightness = straightness + part_straightness, and no separate specified table is left. Both are added to the command, so
     the total is what it was; a straightness table that corrects a cross axis cannot take a share.
     Raises InputError for a share outside 0..1, without a specified table, or with a cross-axis straightness table.
@@ -627,14 +683,19 @@ def split_specified(tables: TableSet, straightness_share: float) -> TableSet:
         raise InputError("there is no specified-accuracy correction to share out")
     if tables.straightness_axis:
         raise InputError(f"the straightness table corrects axis {tables.straightness_axis}, it cannot take a share")
-    nodes = tables.specified.position_mm
-    part = straightness_share * (tables.specified.plus_um + tables.specified.minus_um) / 2
-    part_straightness = SingleTable(nodes, part)
-    part_pitch = tables.specified.plus(DirectionalTable(nodes, -part, -part))
+    part_straightness = tables.specified.scaled(straightness_share)
+    part_pitch = tables.specified.scaled(1.0 - straightness_share)
     straightness = part_straightness if tables.straightness is None else tables.straightness.plus(part_straightness)
     return replace(replace(tables, specified=part_pitch).combined(), straightness=straightness)
 
 
-def straightness_table(position_mm: ArrayLike, deviation_um: ArrayLike) -> SingleTable:
-    """Straightness correction from a measured deviation across the axis: correction = -deviation, µm."""
-    return SingleTable(_positions(position_mm), -_column(deviation_um, "deviation_um"))
+def straightness_table(
+    position_mm: ArrayLike, deviation_um: ArrayLike, minus_um: ArrayLike | None = None
+) -> DirectionalTable:
+    """Straightness correction from measured deviations across the axis: correction = -deviation, µm.
+
+    minus_um: deviation in the - direction, None where it is that of the + direction
+    """
+    plus = -_column(deviation_um, "deviation_um")
+    minus = plus if minus_um is None else -_column(minus_um, "deviation_um")
+    return DirectionalTable(_positions(position_mm), plus, minus)

@@ -33,7 +33,7 @@ def check_across(tables: TableSet, bound: CorrectionBound) -> None:
     if tables.straightness is not None and tables.straightness_axis:
         table = tables.straightness
         what = f"straightness correction not put into force, to axis {tables.straightness_axis}"
-        bound.check_curves(what, table.position_mm, {1: table.value_um})
+        bound.check_curves(what, table.position_mm, {1: table.plus_um, -1: table.minus_um})
 
 
 class CrossAxis:
@@ -103,8 +103,9 @@ class CrossAxis:
         """Hold a straightness table against this axis's bound and travel. Raises CorrectionBoundError, LimitError."""
         check_across(tables, self.state.bound)
         if tables.straightness is not None:
-            for value_um in (tables.straightness.value_um.min(), tables.straightness.value_um.max()):
-                self.drive.limits.check_target(self.at_mm + float(value_um) / UM_PER_MM)
+            for values_um in (tables.straightness.plus_um, tables.straightness.minus_um):
+                for value_um in (values_um.min(), values_um.max()):
+                    self.drive.limits.check_target(self.at_mm + float(value_um) / UM_PER_MM)
 
     # -- standing where it is to stand -----------------------------------------------------------------------------------
     @property

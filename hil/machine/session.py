@@ -481,11 +481,15 @@ class AxisSession:
                 found_across(*group.found[1], velocity_mm_s)
                 at(own)
 
-    def across_um(self, target_mm: float, other: str) -> float:
-        """What this axis's straightness adds to the set-points of another while its own target is `target_mm`, µm."""
-        if self.compensation is None:
+    def across_um(self, target_mm: float, other: str, direction: int = 0) -> float:
+        """What this axis's straightness adds to the set-points of another while its own target is `target_mm`, µm.
+
+        direction: of arrival there; 0: the one of a motion from where the axis stands
+        """
+        if self.compensation is None or self.compensation.moves_axis != other:
             return 0.0
-        return float(self.compensation.tables.cross_correction_um(target_mm, other))
+        came = direction or self.command_state.known_history.moved_to(target_mm).direction
+        return float(self.compensation.tables.cross_correction_um(target_mm, came, other))
 
     def set_points(self) -> StreamedCorrection:
         """Begin a stream of set-points with the correction in force and the sensors' values of this moment.

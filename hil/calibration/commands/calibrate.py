@@ -45,7 +45,7 @@ from hil.calibration.job import (
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_straightness
 from hil.correction.store import SealedStore, bound_tables
-from hil.correction.tables import SingleTable, TableSet
+from hil.correction.tables import DirectionalTable, SingleTable, TableSet
 from hil.figures.verdict import Accuracy, At
 
 EXAMPLE = """\
@@ -196,7 +196,7 @@ def _print(
 
 
 def _store_manual(
-    args: argparse.Namespace, axis: AxisConfig, straightness: SingleTable | None, backlash: SingleTable | None
+    args: argparse.Namespace, axis: AxisConfig, straightness: DirectionalTable | None, backlash: SingleTable | None
 ) -> int:
     """Manual mode: stores the typed values in the form that the axis file asks for; nothing moves."""
     if args.resume or args.report or args.record or args.replay or args.stored:

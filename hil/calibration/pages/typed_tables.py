@@ -32,7 +32,7 @@ from hil.calibration.job import (
 from hil.calibration.straightness import StraightnessResult
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_signs, read_straightness
-from hil.correction.tables import SignedSections, SingleTable
+from hil.correction.tables import DirectionalTable, SignedSections, SingleTable
 
 Refresh = Callable[[], None]
 TYPED, TYPED_STRAIGHTNESS = "typed-tables.csv", "typed-straightness.csv"
@@ -136,7 +136,7 @@ class TypedTables:
 
         return refresh
 
-    def straightness(self) -> SingleTable | None:
+    def straightness(self) -> DirectionalTable | None:
         """The typed straightness correction, None for none. Raises InputError naming the line."""
         path = self._kept("straightness", TYPED_STRAIGHTNESS)
         return None if path is None else read_straightness(path)

@@ -30,7 +30,11 @@ def dump(tables: TableSet, comment: str = "") -> str:
         columns["specified_plus_um"] = tables.specified.at(nodes, 1)
         columns["specified_minus_um"] = tables.specified.at(nodes, -1)
     if tables.straightness is not None:
-        columns["straightness_um"] = tables.straightness.at(nodes)
+        alike = tables.straightness.is_alike
+        for sign, name in (
+            ((1, "straightness_um"),) if alike else ((1, "straightness_plus_um"), (-1, "straightness_minus_um"))
+        ):
+            columns[name] = tables.straightness.at(nodes, sign)
     lines = [f"# {line}" for line in comment.splitlines()]
     lines.append(",".join(columns))
     lines += [",".join(repr(float(value)) for value in row) for row in np.column_stack(list(columns.values()))]

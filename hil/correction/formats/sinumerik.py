@@ -160,7 +160,8 @@ def _once(into: dict[_Key, _Value], key: _Key, value: _Value, line: int) -> None
 
 def _cec_set(found: dict[int, _Found]) -> TableSet:
     own: dict[int, SingleTable] = {}
-    cross: tuple[str, SingleTable] | None = None
+    cross: dict[int, SingleTable] = {}
+    cross_axis = ""
     inputs = {table.keys.get("INPUT_AXIS", "").upper() for table in found.values()}
     if len(inputs) != 1:
         raise InputError(f"holds tables of the input axes {', '.join(sorted(inputs))}, expected one")
@@ -175,27 +176,27 @@ def _cec_set(found: dict[int, _Found]) -> TableSet:
             )
         direction, target = table.key("DIRECTION"), table.keys.get("OUTPUT_AXIS", "").strip("()")
         curve = table.curve()
+        into = own
         if target.upper() != next(iter(inputs)).strip("()"):
-            if direction or cross is not None:
-                raise InputError(
-                    "the table that begins here corrects another axis by direction, or a second one", line=table.line
-                )
-            cross = (target, curve)
-            continue
+            if cross and target != cross_axis:
+                raise InputError("the table that begins here corrects a second other axis", line=table.line)
+            into, cross_axis = cross, target
         if direction not in (0, 1, -1):
             raise InputError(f"DIRECTION is {direction:g}, expected 0, 1 or -1", line=table.line)
         for sign in (1, -1) if direction == 0 else (int(direction),):
-            if sign in own:
+            if sign in into:
                 raise InputError(f"the table that begins here is a second one for direction {sign:+d}", line=table.line)
-            own[sign] = curve
-    if set(own) != {1, -1}:
-        have = ", ".join(f"{sign:+d}" for sign in own) or "none"
+            into[sign] = curve
+    straightness = _both(cross) if cross else None
+    return TableSet(TableMode.BIDIRECTIONAL, _both(own), straightness=straightness, straightness_axis=cross_axis)
+
+
+def _both(curves: dict[int, SingleTable]) -> DirectionalTable:
+    if set(curves) != {1, -1}:
+        have = ", ".join(f"{sign:+d}" for sign in curves) or "none"
         raise InputError(f"has CEC tables for direction {have}, expected both (or direction 0)")
-    nodes = np.union1d(own[1].position_mm, own[-1].position_mm)
-    pitch = DirectionalTable(nodes, own[1].at(nodes), own[-1].at(nodes))
-    if cross is None:
-        return TableSet(TableMode.BIDIRECTIONAL, pitch)
-    return TableSet(TableMode.BIDIRECTIONAL, pitch, straightness=cross[1], straightness_axis=cross[0])
+    nodes = np.union1d(curves[1].position_mm, curves[-1].position_mm)
+    return DirectionalTable(nodes, curves[1].at(nodes), curves[-1].at(nodes))
 
 
 RESOLUTION_MM = 1e-6
@@ -313,7 +314,7 @@ def _cec(tables: TableSet, wanted: DirectionalTable, shift: float, settings: Sin
     extra: tuple[str, ...] = ()
     if tables.straightness is not None and tables.straightness_axis:
         cross, cross_shift = anchored(
-            two_directional(tables.straightness, 0.0),
+            tables.straightness,
             settings.reference_mm,
             1,
             allow_shift=settings.allow_shift,
@@ -321,8 +322,9 @@ def _cec(tables: TableSet, wanted: DirectionalTable, shift: float, settings: Sin
         )
         other, other_step = _resampled(cross, settings)
         other_axis = settings.cross_axis or tables.straightness_axis
-        lines += _cec_table(index + 2, (axis, other_axis), 0, other.position_mm, other_step, other.plus_um)
-        used.append(index + 2)
+        for sign, values_um in ((0, other.plus_um),) if other.is_alike else ((1, other.plus_um), (-1, other.minus_um)):
+            used.append(used[-1] + 1)
+            lines += _cec_table(used[-1], (axis, other_axis), sign, other.position_mm, other_step, values_um)
         if cross_shift:
             extra = (f"taken out of the correction of {other_axis}: {cross_shift:.3f} µm",)
     text = "\n".join([*lines, "M17"]) + "\n"

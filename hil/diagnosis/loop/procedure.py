@@ -41,7 +41,7 @@ from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, silent
 from hil.machine.session import AxisSession
 from hil.records.journal import Campaign
-from hil.records.rows import REQUIRED, Floats, Records
+from hil.records.rows import REQUIRED, Records
 
 
 def compensation_of(model: Model, like: TableSet) -> Compensation:
@@ -50,10 +50,9 @@ def compensation_of(model: Model, like: TableSet) -> Compensation:
     The straightness table of `like` is part of the same command, so its share is subtracted from the pitch table.
     """
     nodes = np.array(model.table.positions_mm)
-    share = _straightness_share_um(like, nodes)
-    pitch = DirectionalTable(
-        nodes, -np.array(model.table.forward_um) - share, -np.array(model.table.backward_um) - share
-    )
+    pitch = DirectionalTable(nodes, -np.array(model.table.forward_um), -np.array(model.table.backward_um))
+    if like.straightness is not None and not like.straightness_axis:
+        pitch = pitch.plus_at_own(like.straightness.scaled(-1.0))
     backlash = SingleTable(nodes, pitch.plus_um - pitch.minus_um)
     return Compensation(replace(like, pitch=pitch, backlash=backlash), model.terms)
 
@@ -77,16 +76,11 @@ def model_of(compensation: Compensation) -> Model:
     """
     tables = compensation.tables
     nodes = tables.pitch.position_mm
-    share = _straightness_share_um(tables, nodes)
-    table = PitchTable.of(nodes, -(tables.pitch.plus_um + share), -(tables.pitch.minus_um + share))
+    own = tables.pitch
+    if tables.straightness is not None and not tables.straightness_axis:
+        own = own.plus_at_own(tables.straightness)
+    table = PitchTable.of(nodes, -own.plus_um, -own.minus_um)
     return Model(table, tuple(term for term in compensation.terms if isinstance(term, Term)))
-
-
-def _straightness_share_um(tables: TableSet, nodes_mm: Floats) -> Floats:
-    """The straightness table's part of the axis's own command at the nodes; 0 where it corrects another axis."""
-    if tables.straightness is None or tables.straightness_axis:
-        return np.zeros(len(nodes_mm))
-    return tables.straightness.at(nodes_mm)
 
 
 def issuable(session: AxisSession, records: Records) -> Records:

@@ -117,12 +117,14 @@ def drive_circle(
             axis.beside_in_stream = frozenset()
 
 
-def _across_um(axes: Sequence[AxisSession], targets_mm: Sequence[float]) -> list[float]:
-    """What the straightness of the other axes, at their own targets, adds to each axis, µm."""
+def _across_um(
+    axes: Sequence[AxisSession], targets_mm: Sequence[float], directions: Sequence[int] = (0, 0)
+) -> list[float]:
+    """What the straightness of the other axes, at their own targets, adds to each axis, µm. directions: as of `across_um`."""
     return [
         sum(
-            other.across_um(at_mm, axis.drive.name)
-            for other, at_mm in zip(axes, targets_mm, strict=True)
+            other.across_um(at_mm, axis.drive.name, came)
+            for other, at_mm, came in zip(axes, targets_mm, directions, strict=True)
             if other is not axis
         )
         for axis in axes
@@ -132,7 +134,7 @@ def _across_um(axes: Sequence[AxisSession], targets_mm: Sequence[float]) -> list
 def _to_the_start(axes: Sequence[AxisSession], circle: Circle) -> None:
     starts = circle.at(0.0)
     for axis, start_mm, direction, across_um in zip(
-        axes, starts, circle.starting(), _across_um(axes, starts), strict=True
+        axes, starts, circle.starting(), _across_um(axes, starts, circle.starting()), strict=True
     ):
         axis.approach(start_mm - direction * RUN_IN_MM)
         axis.move_to(start_mm, APPROACH_MM_S, across_um=across_um)

@@ -17,7 +17,7 @@ from hil.calibration.straightness import (
 )
 from hil.correction.bound import CorrectionBound
 from hil.correction.compensation import Compensation, MotionHistory
-from hil.correction.tables import SingleTable, TableSet
+from hil.correction.tables import DirectionalTable, TableSet
 from hil.machine.cross_axis import check_across
 from hil.machine.set_points import CommandState
 from hil.records.rows import Records
@@ -55,6 +55,9 @@ def test_its_uncertainty_is_that_of_the_runs() -> None:
     assert found.rms_expanded_um == pytest.approx(2.0 * found.mean_std_um / 2.0)
     assert found.range_expanded_um == pytest.approx(2.0 * math.sqrt(2.0) * found.mean_std_um)
     assert found.reversal_um == pytest.approx(0.8)
+    assert found.plus_um == pytest.approx([-2.4, 1.6, 1.6, -2.4])
+    assert found.minus_um == pytest.approx([-1.6, 2.4, 2.4, -1.6])
+    assert found.rms_um == pytest.approx(math.sqrt((2.4**2 + 1.6**2) / 2.0))
 
 
 @pytest.mark.parametrize(
@@ -71,7 +74,8 @@ def test_rows_that_cannot_tell_are_refused(records: Records, column: str, words:
 
 def result(before_um: float, after_um: float, mean_std_um: float) -> StraightnessResult:
     def one(size_um: float) -> Straightness:
-        return Straightness(AT, size_um * np.array([-1.0, 1.0, 1.0, -1.0]), mean_std_um, 0.0)
+        deviation_um = size_um * np.array([-1.0, 1.0, 1.0, -1.0])
+        return Straightness(AT, deviation_um, deviation_um, mean_std_um)
 
     return StraightnessResult(one(before_um), one(before_um), one(after_um), Compensation(TableSet.zero(AT)))
 
@@ -87,7 +91,7 @@ def test_only_what_is_better_by_more_than_its_uncertainty_is_proven() -> None:
 
 def across(value_um: float) -> TableSet:
     tables = TableSet.zero(AT)
-    straightness = SingleTable(AT, np.array([0.0, value_um, value_um, 0.0]))
+    straightness = DirectionalTable.alike(AT, [0.0, value_um, value_um, 0.0])
     return TableSet(tables.mode, tables.pitch, None, None, straightness, "Y")
 
 

@@ -21,6 +21,7 @@ from hil.correction.compensation import WOUND_SHARE, Columns, Compensation, Moti
 from hil.correction.rise import TWO_TANH, Rise
 from hil.correction.running_lost_motion import wound_share
 from hil.correction.tables import (
+    INTERPOLATIONS,
     Band,
     DirectionalTable,
     SingleTable,
@@ -41,12 +42,9 @@ class Machine:
     """Tables on common sections, and beside them the whole correction of every section, written down by hand."""
 
     tables: TableSet
+    sections_mm: list[float]
     plus_um: list[float]
     minus_um: list[float]
-
-    @property
-    def sections_mm(self) -> list[float]:
-        return list(self.tables.pitch.position_mm.tolist())
 
     def expected_um(self, target_mm: float, direction: int) -> float:
         index = bisect_left(self.sections_mm, target_mm)
@@ -77,9 +75,9 @@ def machines(draw: st.DrawFn) -> Machine:
         tables = replace(tables, specified=specified)
         total = {1: total[1] + specified.plus_um, -1: total[-1] + specified.minus_um}
     if draw(st.booleans()):
-        straightness = SingleTable(np.array(at), column())
+        straightness = DirectionalTable(np.array(at), column(), column())
         tables = replace(tables, straightness=straightness)
-        total = {sign: values + straightness.value_um for sign, values in total.items()}
+        total = {1: total[1] + straightness.plus_um, -1: total[-1] + straightness.minus_um}
     correction = CorrectionConfig(
         mode,
         Band(6, 7),
@@ -87,9 +85,10 @@ def machines(draw: st.DrawFn) -> Machine:
         0.1,
         3.0,
         combined=draw(st.booleans()),
+        interpolation=draw(st.sampled_from(INTERPOLATIONS)),
         straightness_share=draw(st.sampled_from([0, 0.3, 1])),
     )
-    return Machine(as_stored(tables, correction), total[1].tolist(), total[-1].tolist())
+    return Machine(as_stored(tables, correction), [float(each) for each in at], total[1].tolist(), total[-1].tolist())
 
 
 @given(st.data(), machines())
@@ -327,7 +326,7 @@ def test_single_commands_are_those_of_the_arrays(seed: int, mode: TableMode, ris
         DirectionalTable(at[0], rng.normal(size=len(at[0])), rng.normal(size=len(at[0]))),
         SingleTable(at[1], rng.normal(size=len(at[1]))),
         DirectionalTable(at[2], rng.normal(size=len(at[2])), rng.normal(size=len(at[2]))) if seed % 2 else None,
-        SingleTable(at[3], rng.normal(size=len(at[3]))) if seed % 3 else None,
+        DirectionalTable(at[3], *rng.normal(size=(2, len(at[3])))) if seed % 3 else None,
     )
     compensation = Compensation(
         tables, (Warm(), Winding()), Rise(TWO_TANH, (2.0, 1.0), (0.2, 1.0, 0.5)) if rising else None
@@ -386,7 +385,7 @@ def test_what_takes_a_reversal_out(compensation: Compensation, takes_it_out: boo
 
 
 def test_the_axis_that_straightness_moves() -> None:
-    beside = SingleTable(ENDS_MM, np.array([0.0, 5.0]))
+    beside = DirectionalTable(ENDS_MM, np.array([0.0, 1.0]), np.array([0.0, 5.0]))
     plain = level(3.0, 3.0)
     assert Compensation(plain).moves_axis == ""
     assert Compensation(replace(plain, straightness=beside)).moves_axis == ""

@@ -48,7 +48,10 @@ def build(seed: int, *, equidistant: bool, constant_backlash: bool) -> TableSet:
     if not constant_backlash:
         backlash = backlash + _curve(rng, positions, 3.0)
     specified = DirectionalTable.constant(positions, float(rng.uniform(-8, 8))) if rng.uniform() < 0.3 else None
-    straightness = SingleTable(positions, _curve(rng, positions, 4.0)) if rng.uniform() < 0.3 else None
+    straightness = None
+    if rng.uniform() < 0.3:
+        one, other = (_curve(rng, positions, 4.0) for _ in range(2))
+        straightness = DirectionalTable(positions, one, one if constant_backlash else other)
     if rng.uniform() < 0.5:
         pitch = DirectionalTable(positions, plus, plus)
         return TableSet(
@@ -268,14 +271,19 @@ def test_sinumerik_wants_zero_at_the_reference(small: TableSet) -> None:
 
 
 def test_sinumerik_cross_axis_goes_into_a_third_table(small: TableSet) -> None:
-    tables = replace(
-        small, straightness=SingleTable(np.array([10.0, 30.0]), np.array([0.0, 6.0])), straightness_axis="Y1"
-    )
+    at, plus_um = np.array([10.0, 30.0]), np.array([0.0, 6.0])
+    tables = replace(small, straightness=DirectionalTable.alike(at, plus_um), straightness_axis="Y1")
     text = sinumerik.dump(tables, SinumerikSettings(reference_mm=10.0))
     assert "$AN_CEC_OUTPUT_AXIS[2]=(Y1)" in text
     again = sinumerik.load(text)
     assert again.straightness_axis == "Y1"
-    assert again.cross_correction_um(20.0, "Y1") == pytest.approx(3.0)
+    assert again.cross_correction_um([20.0, 20.0], [1, -1], "Y1") == pytest.approx(3.0)
+    by_direction = replace(tables, straightness=DirectionalTable(at, plus_um, plus_um / 2.0))
+    each = sinumerik.dump(by_direction, SinumerikSettings(reference_mm=10.0))
+    assert [f"$AN_CEC_DIRECTION[{index}]={sign}" in each for index, sign in ((2, 1), (3, -1))] == [True, True]
+    assert sinumerik.load(each).cross_correction_um([20.0, 20.0], [1, -1], "Y1") == pytest.approx([3.0, 1.5])
+    with pytest.raises(InputError, match=r"second one for direction \+1"):
+        sinumerik.load(each.replace("[3]=(Y1)", "[3]=(X1)").replace("DIRECTION[3]=-1", "DIRECTION[3]=0"))
     assert worst_um(tables, again) < 0.001
     for controller in CONTROLLERS:
         more = {"table": "eec"} if controller.name == "sinumerik" else LENIENT.get(controller.name, {})

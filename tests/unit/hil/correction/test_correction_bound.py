@@ -25,7 +25,7 @@ from hil.correction.bound import CAREFUL, SLOPE_OVER_MM, CorrectionBound
 from hil.correction.compensation import Columns, Compensation, MotionHistory
 from hil.correction.store import SealedStore
 from hil.correction.streamed import StreamedCorrection
-from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import bounded
 from hil.effects import ALL, Form, Term
 from hil.effects.history import through
@@ -154,13 +154,13 @@ def test_the_careful_default_holds_cheap_screws_and_the_noise_of_two_targets_sid
         ),
         (bidirectional([0, 100, 100.2, 100.4], [0, 0, 11, 0]), r"changes by 11 µm between 100 and 100\.2 mm"),
         (
-            replace(bidirectional([0, 100], [0, 0]), straightness=SingleTable(np.array([0, 50]), np.array([0, 600]))),
+            replace(bidirectional([0, 100], [0, 0]), straightness=DirectionalTable.alike([0, 50], [0, 600])),
             r"\+600 µm at 50 mm",
         ),
         (
             replace(
                 bidirectional([0, 100], [0, 0]),
-                straightness=SingleTable(np.array([0, 50]), np.array([0, 600])),
+                straightness=DirectionalTable.alike([0, 50], [0, 600]),
                 straightness_axis="Y",
             ),
             r"to axis Y: \+600 µm at 50 mm",
@@ -189,10 +189,10 @@ def test_straightness_of_the_axis_itself_counts_with_the_rest_and_of_no_table_no
     """30 µm of straightness take 30 µm of pitch back; an axis that is named without a table is moved by none."""
     at = np.array([0.0, 100.0])
     level = bidirectional([0, 100], [-30.0, -30.0])
-    own = replace(level, straightness=SingleTable(at, np.full(2, 30.0)))
+    own = replace(level, straightness=DirectionalTable.constant(at, 30.0))
     Compensation(own).check(CorrectionBound(1.0), "tables")
     Compensation(replace(level, straightness_axis="Y")).check(CorrectionBound(31.0), "tables")
-    across = replace(level, straightness=SingleTable(at, np.full(2, 40.0)), straightness_axis="Y")
+    across = replace(level, straightness=DirectionalTable.constant(at, 40.0), straightness_axis="Y")
     with pytest.raises(CorrectionBoundError, match=r"to axis Y: \+40 µm"):
         Compensation(across).check(CorrectionBound(35.0), "tables")
 

@@ -11,7 +11,7 @@ import pytest
 from drivers.errors import InputError
 from hil.correction.formats.manual_csv import dump
 from hil.correction.manual import read_backlash, read_manual_tables, read_signs, read_straightness
-from hil.correction.tables import TableMode
+from hil.correction.tables import DirectionalTable, TableMode
 
 
 @pytest.fixture
@@ -78,7 +78,15 @@ def test_specified_accuracy_and_straightness_add_up(path: Path) -> None:
 
 def test_a_straightness_correction_is_minus_the_deviation(path: Path) -> None:
     path.write_text("position_mm,deviation_um\n0,3\n100,-5\n")
-    assert read_straightness(path).value_um.tolist() == [-3, 5]
+    assert read_straightness(path) == DirectionalTable.alike([0, 100], [-3, 5])
+    path.write_text("position_mm,deviation_plus_um,deviation_minus_um\n0,3,1\n100,-5,2\n")
+    assert read_straightness(path) == DirectionalTable(
+        *(np.array(c) for c in ([0.0, 100.0], [-3.0, 5.0], [-1.0, -2.0]))
+    )
+    for header in ("position_mm,deviation_plus_um", "position_mm,deviation_um,deviation_plus_um", "position_mm"):
+        path.write_text(header + "\n" + ",".join("1" for _ in header.split(",")) + "\n")
+        with pytest.raises(InputError, match="deviation_um"):
+            read_straightness(path)
 
 
 HEAD = "position_mm,plus_um,minus_um\n"

@@ -184,7 +184,10 @@ OWN = {"backlash": "backlash by torque", "straightness": "granite of the shop"}
 def full_tables() -> TableSet:
     at = np.array([0.0, 100.0])
     pitch = DirectionalTable(at, np.array([1.0, 2.0]), np.array([-3.0, -4.0]))
-    amount, straight = SingleTable(np.array([10.0, 50.0]), np.array([5.0, 7.0])), SingleTable(at, np.array([0.5, 0.25]))
+    amount, straight = (
+        SingleTable(np.array([10.0, 50.0]), np.array([5.0, 7.0])),
+        DirectionalTable.alike(at, [0.5, 0.25]),
+    )
     return TableSet(TableMode.MEAN_BACKLASH, pitch, amount, None, straight)
 
 
@@ -196,7 +199,7 @@ def test_each_table_has_the_common_password_or_one_of_its_own(axis: AxisConfig) 
     assert set(check(data, public).entries) == {"X.tables", "X.effects", "X.backlash", "X.straightness"}
     for table, password in OWN.items():
         name = f"X.{table}"
-        assert b"value_um" in open_sealed(data, {name: password}, public)[name]
+        assert b"_um" in open_sealed(data, {name: password}, public)[name]
         with pytest.raises(WrongPasswordError):
             open_sealed(data, {name: READING}, public)
         with pytest.raises(InputError, match=f"table {table} of axis X has a password of its own"):

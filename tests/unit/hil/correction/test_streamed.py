@@ -98,7 +98,7 @@ def corrections(draw: st.DrawFn) -> Compensation:
         DirectionalTable(at[0], values(at[0]), values(at[0])),
         SingleTable(at[1], values(at[1])),
         DirectionalTable(at[2], values(at[2]), values(at[2])) if draw(st.booleans()) else None,
-        SingleTable(at[3], values(at[3])) if draw(st.booleans()) else None,
+        DirectionalTable(at[3], values(at[3]), values(at[3])) if draw(st.booleans()) else None,
     )
     terms = draw(st.lists(st.sampled_from(TERMS), max_size=3))
     return Compensation(tables, tuple(terms), draw(st.sampled_from(RISES)))

@@ -74,7 +74,7 @@ def table_sets(draw: st.DrawFn, cross_axis: bool = True) -> TableSet:
         draw(directional_tables()),
         backlash,
         draw(st.none() | directional_tables()),
-        draw(st.none() | single_tables()),
+        draw(st.none() | directional_tables()),
         draw(st.sampled_from(["", "Y"])) if cross_axis else "",
     )
 
@@ -107,7 +107,11 @@ def expected_correction_um(tables: TableSet, position: float, direction: int) ->
         column = tables.specified.plus_um if direction > 0 else tables.specified.minus_um
         total += interpolated(position, tables.specified.position_mm, column)
     if tables.straightness is not None and tables.straightness_axis == "":
-        total += interpolated(position, tables.straightness.position_mm, tables.straightness.value_um)
+        total += interpolated(
+            position,
+            tables.straightness.position_mm,
+            tables.straightness.plus_um if direction > 0 else tables.straightness.minus_um,
+        )
     return total
 
 
@@ -132,6 +136,29 @@ def test_one_combined_store_gives_the_same_output_everywhere(tables: TableSet, a
     )
 
 
+def test_by_steps_each_section_keeps_the_value_of_its_target() -> None:
+    """Sections of 100 mm around the targets; 5 µm from the change on, within a ramp of 1 µm, and beyond the ends."""
+    at = np.array([0.0, 100.0, 200.0])
+    pitch = DirectionalTable(at, np.array([1.0, 5.0, -3.0]), np.array([2.0, 7.0, 0.0]))
+    own = DirectionalTable(at, np.array([0.5, 0.5, 0.0]), np.array([0.0, 0.5, 0.5]))
+    tables = TableSet(
+        TableMode.BIDIRECTIONAL, pitch, specified=DirectionalTable.constant(at, 6.0), straightness=own
+    ).stepped()
+    where = np.array([-30.0, 0.0, 49.99, 50.0, 50.01, 100.0, 149.9, 150.1, 200.0, 260.0])
+    assert tables.correction_um(where, 1) == pytest.approx([7.5, 7.5, 7.5, 9.5, 11.5, 11.5, 11.5, 3.0, 3.0, 3.0])
+    assert tables.correction_um(where[[1, 4, 9]], -1) == pytest.approx([8.0, 13.5, 6.5])
+    one = TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, pitch, SingleTable(at, np.array([4.0, 8.0, 2.0]))).stepped()
+    assert one.correction_um([49.0, 51.0], -1) == pytest.approx([1.0 - 4.0, 5.0 - 8.0])
+    with pytest.raises(InputError, match=r"sections of 0\.001 mm: expected at least 0\.002 mm"):
+        TableSet.zero(np.array([0.0, 0.001])).stepped()
+
+
+def test_straightness_stored_before_it_had_directions_is_read_for_both() -> None:
+    at = [0.0, 100.0]
+    plain = {**TableSet.zero(np.array(at)).to_dict(), "straightness": {"position_mm": at, "value_um": [0.5, -0.5]}}
+    assert TableSet.from_dict(plain).straightness == DirectionalTable.alike(at, [0.5, -0.5])
+
+
 @given(table_sets(cross_axis=False), POSITIONS, st.sampled_from([1, -1]), shares)
 @settings(max_examples=200, deadline=None)
 def test_sharing_out_to_straightness_keeps_the_total_everywhere(
@@ -153,13 +180,14 @@ def test_the_share_moved_to_straightness_is_that_share() -> None:
         TableMode.BIDIRECTIONAL,
         DirectionalTable(at, np.array([1.0, 2.0]), np.array([3.0, 4.0])),
         specified=DirectionalTable(at, np.array([6.0, 7.0]), np.array([7.0, 7.0])),
-        straightness=SingleTable(at, np.array([0.5, -0.5])),
+        straightness=DirectionalTable(at, np.array([0.5, -0.5]), np.array([0.25, 0.5])),
     )
     split = split_specified(tables, 0.4)
     assert split.straightness is not None
-    assert split.straightness.value_um == pytest.approx([0.5 + 0.4 * 6.5, -0.5 + 0.4 * 7.0])
-    assert split.pitch.plus_um == pytest.approx([1.0 + 6.0 - 2.6, 2.0 + 7.0 - 2.8])
-    assert split.pitch.minus_um == pytest.approx([3.0 + 7.0 - 2.6, 4.0 + 7.0 - 2.8])
+    assert split.straightness.plus_um == pytest.approx([0.5 + 0.4 * 6.0, -0.5 + 0.4 * 7.0])
+    assert split.straightness.minus_um == pytest.approx([0.25 + 0.4 * 7.0, 0.5 + 0.4 * 7.0])
+    assert split.pitch.plus_um == pytest.approx([1.0 + 0.6 * 6.0, 2.0 + 0.6 * 7.0])
+    assert split.pitch.minus_um == pytest.approx([3.0 + 0.6 * 7.0, 4.0 + 0.6 * 7.0])
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.1, math.nan, math.inf])
@@ -174,13 +202,14 @@ def test_a_table_that_corrects_another_axis_takes_no_share_and_adds_nothing_here
     tables = replace(
         TableSet.zero(at),
         specified=DirectionalTable.constant(at, 6.5),
-        straightness=straightness_table(at, [2.0, -3.0]),
+        straightness=straightness_table(at, [2.0, -3.0], [4.0, 5.0]),
         straightness_axis="Y",
     )
     assert tables.correction_um(at, 1).tolist() == [6.5, 6.5]
-    assert tables.cross_correction_um(at, "Y").tolist() == [-2.0, 3.0]
-    assert tables.cross_correction_um(at, "Z").tolist() == [0.0, 0.0]
-    assert tables.cross_correction_um(at, "").tolist() == [0.0, 0.0]
+    assert tables.cross_correction_um(at, 1, "Y").tolist() == [-2.0, 3.0]
+    assert tables.cross_correction_um(at, -1, "Y").tolist() == [-4.0, -5.0]
+    assert tables.cross_correction_um(at, 1, "Z").tolist() == [0.0, 0.0]
+    assert tables.cross_correction_um(at, 1, "").tolist() == [0.0, 0.0]
     with pytest.raises(InputError, match="axis Y"):
         split_specified(tables, 0.5)
 
@@ -474,7 +503,7 @@ def test_a_straightness_table_takes_its_part_of_the_error(mode: TableMode) -> No
     """Errors +2 µm forward and +5 µm backward; straightness adds 0.5 µm: the pitch table adds -2.5 and -5.5, together -2 and -5."""
     rows = [(1, way, p, p + (0.002 if way > 0 else 0.005)) for p in (0.0, 100.0) for way in (1, -1)]
     columns = dict(zip(("run", "direction", "target_mm", "measured_mm"), zip(*rows, strict=True), strict=True))
-    straightness = SingleTable(np.array([0.0, 100.0]), np.array([0.5, 0.5]))
+    straightness = DirectionalTable.constant(np.array([0.0, 100.0]), 0.5)
     found = compute_tables(Records.of(columns), mode, straightness)
     np.testing.assert_allclose(found.pitch.plus_um, [-2.5, -2.5], atol=1e-9)
     np.testing.assert_allclose(found.pitch.minus_um, [-5.5, -5.5], atol=1e-9)

@@ -15,7 +15,7 @@ from drivers.errors import CorrectionBoundError, InputError
 from drivers.scaling import AxisScaling
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Columns, Compensation
-from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.drive_table import DriveCurve, DriveTable, check_curve, drive_table, largest_deviation_um, wanted_of
 from hil.records.rows import Floats
 from sim_backends.own_table import OwnTable, TableForm
@@ -179,7 +179,7 @@ def test_a_table_for_another_axis_is_refused() -> None:
     tables = TableSet(
         TableMode.BIDIRECTIONAL,
         machine(),
-        straightness=SingleTable(np.array([0.0, 500.0]), np.array([1.0, 2.0])),
+        straightness=DirectionalTable.alike(np.array([0.0, 500.0]), np.array([1.0, 2.0])),
         straightness_axis="Y",
     )
     with pytest.raises(InputError, match="corrects axis Y"):
