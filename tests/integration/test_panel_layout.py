@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import matplotlib as mpl
 import pytest
 from support import panel
 from support.panel import Person
 from support.screenshots import DEFECTS, OUT_OF_SIGHT, PALE, at_rest, foreign_fonts, settled
 from support.two_axes import lay_out_axes
+
+from hil.app.panel.texts import load
 
 pytestmark = [
     pytest.mark.slow,
@@ -182,6 +186,29 @@ def test_a_sign_that_the_page_does_not_bring_is_noticed(person: Person) -> None:
         "document.querySelector(`[data-name='header.job']`).textContent = String.fromCodePoint(0x5d0)"
     )
     assert set(foreign_fonts(person)) > before
+
+
+@pytest.mark.parametrize("chinese", [False, True])
+def test_chinese_without_a_font_is_said_in_english(chinese: bool, machine: tuple[Path, ...], tmp_path: Path) -> None:
+    """With the fonts that are here, and with those of matplotlib alone, which have no Chinese."""
+    if chinese and panel.NO_CHINESE:
+        pytest.skip(panel.NO_CHINESE)
+    fonts = tmp_path / "fonts.conf"
+    latin = Path(mpl.get_data_path()) / "fonts" / "ttf"
+    fonts.write_text(f"<fontconfig><dir>{latin}</dir><cachedir>{tmp_path}</cachedir></fontconfig>")
+    environment = {**os.environ} if chinese else {**os.environ, "FONTCONFIG_FILE": str(fonts)}
+    with panel.served(machine[0], "--lang", "zh") as (address, _), panel.browser(environment) as one:
+        one.goes_to(f"{address}axis/X/overview")
+        if chinese:
+            one.waits(lambda: one.finds("control.take").text == load("zh")["control.take"], "it is in Chinese")
+            assert "no-font" not in one.names()
+            return
+        one.waits(lambda: "no font with Chinese" in one.reads("no-font"), "it is said")
+        assert one.finds("control.take").text == load("en")["control.take"]
+        one.waits(lambda: one.finds("language").is_displayed(), "the choice is there")
+        one.finds("language").click()
+        offered = lambda: [each.text for each in one.driver.find_elements("css selector", ".q-menu .q-item")]  # noqa: E731
+        one.waits(lambda: offered() == ["English", "Deutsch", "Chinese"], "Chinese is offered in letters")
 
 
 @pytest.mark.parametrize("ground", ["dark", "light"])

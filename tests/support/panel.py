@@ -6,7 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -190,13 +190,13 @@ def figure(text: str) -> float | None:
 
 
 @contextmanager
-def browser() -> Iterator[Person]:
-    """A headless Chromium with a profile of its own."""
+def browser(environment: Mapping[str, str] | None = None) -> Iterator[Person]:
+    """A headless Chromium with a profile of its own. environment: in place of this process's."""
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM or ""
     for option in _OPTIONS:
         options.add_argument(option)
-    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER))
+    driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER, env=environment))
     try:
         yield Person(driver)
     finally:

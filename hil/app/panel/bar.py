@@ -19,6 +19,9 @@ from hil.app.panel.texts import LANGUAGES, Texts
 from hil.app.panel.view import View
 
 S_PER_MIN, S_PER_H = 60, 3600
+CHINESE, FALL_BACK = "zh", "en"
+NO_CHINESE = "hil-no-chinese"
+"""Event of a browser without a font for it."""
 ICONS = {
     "idle": "○",
     "enabled": "●",
@@ -254,15 +257,25 @@ async def _take_over(view: View) -> None:
 
 def _draw_looks(view: View) -> None:
     def speak(language: str) -> None:
-        view.browser.language = language
+        view.browser.language, view.browser.undrawn = language, False
         ui.navigate.reload()
+
+    def fall_back() -> None:
+        """Instead of Chinese as boxes: English, and a note on top of the page; the choice names it in letters."""
+        browser, asked = view.browser, view.t.language == CHINESE
+        browser.chinese, browser.undrawn = False, browser.undrawn or asked
+        if asked:
+            browser.language = FALL_BACK
+            ui.navigate.reload()
+        else:
+            language.set_options(_languages(view), value=view.t.language)
 
     def light() -> None:
         view.browser.dark = not view.browser.dark
         ui.navigate.reload()
 
     with ui.element("div").classes("hil-looks"):
-        language = ui.select(LANGUAGES, value=view.t.language, on_change=lambda event: speak(event.value))
+        language = ui.select(_languages(view), value=view.t.language, on_change=lambda event: speak(event.value))
         view.named(language.props("dense borderless"), "language")
         key = "button.light" if view.browser.dark else "button.dark"
         looks = (
@@ -271,3 +284,9 @@ def _draw_looks(view: View) -> None:
             .props(f'aria-label="{view.t(key)}" title="{view.t(key)}"')
         )
         looks.say("◐")
+    ui.on(NO_CHINESE, fall_back)
+    view.client.run_javascript(f"hilDrawsChinese() || emitEvent('{NO_CHINESE}')")
+
+
+def _languages(view: View) -> dict[str, str]:
+    return LANGUAGES if view.browser.chinese else {**LANGUAGES, CHINESE: view.t("language.chinese")}

@@ -17,11 +17,16 @@ _MOST = 200
 
 @dataclass
 class Browser:
-    """One browser. number: in the order of first visits; dark: dark colours; tokens: of control, by axis."""
+    """One browser. number: in the order of first visits; dark: dark colours; tokens: of control, by axis.
+
+    chinese: whether its computer has a font for it, as far as known; undrawn: whether it was asked for without one
+    """
 
     number: int
     language: str
     dark: bool = True
+    chinese: bool = True
+    undrawn: bool = False
     tokens: dict[str, str] = field(default_factory=dict)
 
 

@@ -26,6 +26,7 @@ def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
     _draw_stop(view)
     draw_bar(view, page)
     draw_rail(view, page, pages)
+    _draw_no_font(view)
     _draw_no_data(view)
     draw_alarm(view)
     draw_question(view)
@@ -37,6 +38,12 @@ def _draw_lost(view: View) -> None:
     lost = view.named(ui.element("div").classes("hil-lost").props("hidden role=alert"), "stop-lost")
     with lost:
         ui.label(view.t("stop.lost"))
+
+
+def _draw_no_font(view: View) -> None:
+    """Say that Chinese was asked for, which this browser's computer cannot draw."""
+    if view.browser.undrawn:
+        view.named(ui.label(view.t("language.undrawn")).classes("hil-note w-full"), "no-font")
 
 
 BEAT_S = 0.1

@@ -245,6 +245,15 @@ document.addEventListener("keydown", (event) => {
   event.preventDefault();
 });
 
+// Whether this computer has a font with Chinese: the sign of one is a single stroke there. What is drawn for a missing sign is as high as
+// for any other, or nothing.
+function hilDrawsChinese() {
+  const pen = document.createElement("canvas").getContext("2d");
+  pen.font = `40px ${getComputedStyle(document.body).fontFamily}`;
+  const height = (sign) => pen.measureText(sign).actualBoundingBoxAscent + pen.measureText(sign).actualBoundingBoxDescent;
+  return height("\u4e00") > 0 && 2 * height("\u4e00") < height("\u4e2d");
+}
+
 // A chart draws its words once: it is drawn anew when the fonts of the page have come.
 document.fonts?.ready.then(async () => {
   await Promise.all(["14px Roboto", "14px 'Hil Signs'"].map((font) => document.fonts.load(font, "A→■")));
