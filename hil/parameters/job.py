@@ -173,7 +173,7 @@ _STAMP, _BACKUP = "%Y%m%d-%H%M%S", ".params.toml"
 # -- for the desk: one axis ----------------------------------------------------------------------------------------------
 def backup_job(axis: DriveAxis) -> Job:
     """Job that returns a BackedUp: a new file in the axis's folder, named by the time. Its work raises StateError on failure."""
-    path = axis.path.resolve().parent / f"{axis.name}-{datetime.now().astimezone().strftime(_STAMP)}{_BACKUP}"
+    path = new_backup_path(axis)
 
     def work(place: Workplace) -> BackedUp:
         (backup,) = back_up_axes([axis], [path], progress=_progress_events(place), waiting=place.waiting)
@@ -182,6 +182,11 @@ def backup_job(axis: DriveAxis) -> Job:
         return BackedUp(path, len(backup.contents.entries), len(backup.unreadable or {}))
 
     return _job(axis, BACKUP, [Write("file", str(path))], work, locked=False)
+
+
+def new_backup_path(axis: DriveAxis) -> Path:
+    """A file in the axis's folder that is named by the time."""
+    return axis.path.resolve().parent / f"{axis.name}-{datetime.now().astimezone().strftime(_STAMP)}{_BACKUP}"
 
 
 def backed_up_at(axis: DriveAxis, path: Path) -> datetime | None:

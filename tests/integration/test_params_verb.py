@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 import json
 import re
@@ -14,14 +15,16 @@ from typing import Any
 
 import pytest
 from hostile import disks
-from support.bench_axis import AXIS
+from support.bench_axis import AXIS, lay_out
 from support.modbus_parameters import NEW, OLD, FortyFace, write_map
 from support.sim_process import SimProcess
 
 from drivers.clock import WallClock
 from hil.app.terminal.main import main
 from hil.correction.sealed import new_key, save_public_key, sign_detached
+from hil.parameters.commands import jobs
 from hil.parameters.set_file import SetEntry, read_set, write_set
+from hil.parameters.snapshot import Backup
 from sim_backends.canopen_drive import EDS
 from sim_backends.modbus_drive import tcp_server
 
@@ -100,6 +103,58 @@ def test_what_cannot_be_done_is_one_line(axis: Path, tmp_path: Path, capsys: pyt
         status, _, err = run(capsys, *arguments)
         assert (status, err.count("\n")) == (2, 1), (arguments, err)
         assert what in err
+
+
+@pytest.mark.parametrize(
+    ("said", "status"), [("n\n", 1), ("\n", 1), ("ja\n", 1), ("", 2)], ids=["no", "nothing", "another word", "nobody"]
+)
+def test_factory_defaults_are_loaded_once_a_backup_is_there_and_a_person_has_agreed(
+    axis: Path,
+    face: FortyFace,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    monkeypatch: pytest.MonkeyPatch,
+    said: str,
+    status: int,
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(said))
+    found, out, err = run(capsys, "restore", axis, "--factory")
+    assert (found, face.ram) == (status, SIDES["old"])
+    assert "the maker's defaults take the place of all 40 parameters" in out
+    assert "nothing was loaded" in out + err
+    (backup,) = tmp_path.glob("X-*.params.toml")
+    assert f"hil params restore {axis} --set {backup} --store" in out
+    assert len(read_set(backup).entries) == 40
+
+
+@pytest.mark.parametrize(("said", "options"), [("y\n", ()), ("YES\n", ()), ("", ("--yes",))])
+def test_who_agrees_gets_the_factory_defaults(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    said: str,
+    options: tuple[str, ...],
+) -> None:
+    path = lay_out(tmp_path)
+    path.write_text(
+        path.read_text(encoding="utf-8").replace("[drive]\n", '[drive]\nface = "canopen"\n'), encoding="utf-8"
+    )
+    monkeypatch.setattr(sys, "stdin", io.StringIO(said))
+    found, out, _ = run(capsys, "restore", path, "--factory", *options)
+    assert (found, "X: holds its factory defaults, and was started anew" in out) == (0, True)
+    assert len(list(tmp_path.glob("X-*.params.toml"))) == 1
+
+
+def test_a_drive_that_could_not_be_read_keeps_what_it_has(
+    axis: Path, face: FortyFace, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(jobs, "back_up_axes", lambda axes, _paths, **_how: [Backup(axes[0].drive, error="is silent")])
+    monkeypatch.setattr(jobs, "connected_parameters", pytest.fail)
+    found, out, _ = run(capsys, "restore", axis, "--factory", "--yes")
+    assert (found, face.ram) == (1, SIDES["old"])
+    assert out == "X: no backup: is silent\nnothing was loaded\n"
+    assert not list(tmp_path.glob("X-*.params.toml"))
 
 
 def test_a_changed_or_foreign_set_is_refused(

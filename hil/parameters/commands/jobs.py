@@ -15,7 +15,15 @@ from hil.axis.axis_file import DriveAxis
 from hil.parameters.commands.params import add_job, ask_person, load_axes, progress_bars, sets_of
 from hil.parameters.compare import Comparison, Side
 from hil.parameters.formats import FORMATS
-from hil.parameters.job import back_up_axes, compare_axes, recover_axes, set_before_last, set_of_last, write_axes
+from hil.parameters.job import (
+    back_up_axes,
+    compare_axes,
+    new_backup_path,
+    recover_axes,
+    set_before_last,
+    set_of_last,
+    write_axes,
+)
 from hil.parameters.predict import Prediction, predict, seconds_together
 from hil.parameters.preflight import Objection, left_out, match_set, notes_of_file
 from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
@@ -173,7 +181,12 @@ def _add_writing(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     restore = add_job(
         jobs, "restore", "write back what was there before the last download, or a backup", _restore, sets="a backup"
     )
-    restore.add_argument("--factory", action="store_true", help="the maker's defaults instead (1011h), and a restart")
+    restore.add_argument(
+        "--factory",
+        action="store_true",
+        help="the maker's defaults instead (1011h), and a restart; backs up and asks first",
+    )
+    restore.add_argument("--yes", action="store_true", help="with --factory: do not ask")
     for job in (parser, restore):
         job.add_argument("--store", action="store_true", help="have the drive keep it, after all of it was proven")
     for job in (parser, store, restore):
@@ -282,8 +295,12 @@ def _restore(args: argparse.Namespace) -> int:
 
 
 def _factory(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> int:
+    """Exit status 0: every drive holds its defaults; 1: one was not read before or did not load them, or nobody agreed."""
     if args.sets or args.store or args.audit:
         raise InputError("--factory goes with no other option: the drive loads its defaults itself, and stores them")
+    if not (_backed_up(axes) and (args.yes or _agreed(axes))):
+        print("nothing was loaded")
+        return 1
     with connected_parameters(axes) as drives:
         errors = load_defaults(drives, ask_person)
     reports = [
@@ -297,6 +314,34 @@ def _factory(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> int:
     if args.json:
         write_json(args.json, {"good": not any(errors), "drives": [report.as_json() for report in reports]})
     return 1 if any(errors) else 0
+
+
+def _backed_up(axes: Sequence[DriveAxis]) -> bool:
+    """Back up every drive before its defaults are loaded, and say what they take the place of; whether all could be read."""
+    paths = [new_backup_path(axis) for axis in axes]
+    with progress_bars() as progress:
+        backups = back_up_axes(axes, paths, progress=progress)
+    for axis, path, backup in zip(axes, paths, backups, strict=True):
+        if backup.contents is None:
+            print(f"{axis.name}: no backup: {backup.error}")
+            continue
+        print(
+            f"{axis.name}: the maker's defaults take the place of all {len(backup.contents.entries)} parameters, also of motor, units,"
+            f" limits, tuning and homing, and hold after a restart; backup: {path}"
+            f" (hil params restore {axis.path} --set {path} --store)"
+        )
+        for address, why in (backup.unreadable or {}).items():
+            print(f"{axis.name}: {address} is not in the backup: {why}")
+    return all(backup.contents is not None for backup in backups)
+
+
+def _agreed(axes: Sequence[DriveAxis]) -> bool:
+    """Ask the person at the terminal. Raises InputError where nobody answers."""
+    try:
+        answer = input(f"load the maker's defaults into {', '.join(axis.name for axis in axes)}? [y/N] ")
+    except (EOFError, OSError) as error:
+        raise InputError("nobody answered, nothing was loaded: expected y, or --yes") from error
+    return answer.strip().lower() in ("y", "yes")
 
 
 # -- resume and rollback -----------------------------------------------------------------------------------------------
