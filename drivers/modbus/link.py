@@ -32,6 +32,7 @@ from drivers.errors import (
     InputError,
     LinkLostError,
     NoAnswerError,
+    OtherAnswerError,
     ProtocolError,
     TransportError,
 )
@@ -309,7 +310,7 @@ class ModbusLink:
                 self.clock.sleep_s(self.policy.busy_pause_s)
             except (TransportError, ProtocolError) as error:
                 if tried >= self._repeats(unit, repeats):
-                    if blamed and isinstance(error, NoAnswerError):
+                    if blamed and isinstance(error, NoAnswerError) and not isinstance(error, OtherAnswerError):
                         self._missed(state)
                     raise
                 tried += 1

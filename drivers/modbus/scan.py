@@ -7,10 +7,19 @@ position are read as well.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 from drivers.drive import DriveState
-from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.errors import (
+    AbortError,
+    BridgeError,
+    InputError,
+    LinkLostError,
+    NoAnswerError,
+    OtherAnswerError,
+    ProtocolError,
+)
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.link import LinkPolicy, ModbusLink
@@ -25,7 +34,7 @@ _GATEWAY = (10, 11)  # exceptions that a gateway answers for a unit that does no
 
 @dataclass(frozen=True)
 class FoundUnit:
-    """One unit that answered. refusal: its refusal of the register, "" when it gave it.
+    """One unit that answered. refusal: its refusal of the register, "" when it gave it. also: ids that it answered in place of.
 
     With a register map: state, raw position, fault code; problem: why these could not be read.
     """
@@ -36,6 +45,7 @@ class FoundUnit:
     position_raw: Raw | None = None
     fault_code: Raw | None = None
     problem: str = ""
+    also: tuple[int, ...] = ()
 
 
 def scan(
@@ -49,23 +59,38 @@ def scan(
 
     Raises LinkLostError when the connection is lost and cannot be opened again.
     """
-    found: list[FoundUnit] = []
+    found: dict[int, FoundUnit] = {}
+    answered: dict[int, list[int]] = {}  # ids asked, by the unit that answered in their place
+
+    def ask(unit: int) -> None:
+        try:
+            refusal = _ask(link, unit)
+        except OtherAnswerError as error:
+            answered.setdefault(unit if error.unit is None else error.unit, []).append(unit)
+        else:
+            if refusal is not None:
+                found[unit] = FoundUnit(unit, refusal) if drive_map is None else _drive(link, unit, refusal, drive_map)
+
     for done, unit in enumerate(units, start=1):
-        refusal = _ask(link, unit)
-        if refusal is not None:
-            found.append(FoundUnit(unit, refusal) if drive_map is None else _drive(link, unit, refusal, drive_map))
+        ask(unit)
         progress(done)
-    return found
+    for unit in [unit for unit in answered if unit not in found]:
+        with suppress(InputError):  # an id that cannot be asked, as 0 on a serial line
+            ask(unit)
+        found.setdefault(unit, FoundUnit(unit, "answers other ids only"))
+    return [replace(found[unit], also=tuple(answered.get(unit, ()))) for unit in sorted(found)]
 
 
 def _ask(link: ModbusLink, unit: int) -> str | None:
-    """None: no unit there; else its refusal, "" when it gave the register."""
+    """None: no unit there; else its refusal, "" when it gave the register. Raises OtherAnswerError."""
     try:
         link.read(unit, Table.HOLDING, Span(0, 1), urgent=True)
     except AbortError as error:
         return None if error.code in _GATEWAY else str(error).rpartition(": ")[2]
     except ProtocolError as error:
         return f"gives an invalid reply: {error}"
+    except OtherAnswerError:
+        raise
     except NoAnswerError:
         return None
     except LinkLostError:

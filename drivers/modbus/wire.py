@@ -26,7 +26,15 @@ from pymodbus.exceptions import ModbusException
 from pymodbus.framer import FramerBase, FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU, ModbusPDU
 
-from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.errors import (
+    AbortError,
+    CapabilityError,
+    InputError,
+    LinkLostError,
+    NoAnswerError,
+    OtherAnswerError,
+    ProtocolError,
+)
 from drivers.listening import Listening
 from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, Span, Table, WireCost
 from drivers.modbus.ports import Check, Port, SerialPort, TcpPort
@@ -290,6 +298,7 @@ class PymodbusWire:
         self._requests = _Requests()  # type: ignore[no-untyped-call]
         self._unit_keyword = unit_keyword(self._requests.read_holding_registers)
         self._rest = b""  # bytes received and not decoded yet: on TCP the beginning of a frame
+        self._other: int | None = None  # another unit that a frame came from during this exchange
 
     @property
     def connected(self) -> bool:
@@ -333,6 +342,7 @@ class PymodbusWire:
     def _reply(self, unit: int, request: Request, what: str, timeout_s: float) -> Any:
         """The first frame from this unit (on TCP: with this number) that comes in time. Raises NoAnswerError, ProtocolError."""
         number, port = next(self._numbers), self._port
+        self._other = None
         if isinstance(self.endpoint, RtuEndpoint):
             self._rest = b""
         frame = self._frame(unit, request, number)
@@ -352,22 +362,31 @@ class PymodbusWire:
                 raise ProtocolError(f"{what}: the line echoes what is sent, expected an adapter without local echo")
             if (reply := self._found(unit, number, what)) is not None:
                 return reply
+        if self._other is not None:
+            raise _answered_as(self._other, unit, what)
         if not received:
             raise NoAnswerError(f"{what}: no answer within {timeout_s:.3g} s")
         self._drop_broken_stream()
         raise NoAnswerError(f"{what}: {received} bytes of a damaged or foreign reply, no answer to this request")
 
     def _found(self, unit: int, number: int, what: str) -> Any:
-        """The reply among the bytes received so far; frames of other units before it are left out."""
+        """The reply among the bytes received so far; other frames before it are left out. Raises OtherAnswerError for one with the
+        request's number and another unit; RTU has no numbers: there it may be a late reply to another request."""
         while True:
             try:
-                used, reply = self._framer.handleFrame(self._rest, unit, number)
+                used, from_unit, its_number, pdu = self._framer.decode(self._rest)
+                frame, self._rest = self._rest[:used], self._rest[used:]
+                if not pdu:
+                    return None
+                if (from_unit, its_number) == (unit, number):
+                    return self._framer.handleFrame(frame, unit, number)[1]
             except _NO_FRAME as error:
                 self._drop_broken_stream()
                 raise ProtocolError(f"{what}: reply cannot be understood") from error
-            self._rest = self._rest[used:]
-            if reply is None or (reply.dev_id, reply.transaction_id) == (unit, number):
-                return reply
+            if its_number == number:
+                if isinstance(self.endpoint, TcpEndpoint):
+                    raise _answered_as(from_unit, unit, what)
+                self._other = from_unit
 
     def _drop_broken_stream(self) -> None:
         """Close a TCP connection after a broken reply, whose rest would be taken for the head of the next; on RTU silence ends a
@@ -407,6 +426,10 @@ def unit_keyword(method: Callable[..., object]) -> str:
     raise CapabilityError(f"this pymodbus has no known name for the unit id among {', '.join(parameters)}")
 
 
+def _answered_as(other: int, unit: int, what: str) -> OtherAnswerError:
+    return OtherAnswerError(f"{what}: answered as unit {other}, asked was unit {unit}: try unit = {other}", other)
+
+
 def _refusal(what: str, request: Request, reply: Any) -> AbortError | NoAnswerError | ProtocolError:
     if reply.function_code & 0x7F != request.function:
         return ProtocolError(f"{what}: exception reply to function {reply.function_code & 0x7F}")
@@ -421,7 +444,7 @@ def _checked(what: str, request: Request, reply: Any) -> tuple[int, ...]:
         raise ProtocolError(f"{what}: reply to function {reply.function_code}")
     if request.function.is_write:
         if reply.address != request.address:
-            raise ProtocolError(f"{what}: reply names address {reply.address}")
+            raise ProtocolError(f"{what}: reply names address {reply.address}, expected {request.address}")
         if request.function is Function.WRITE_REGISTER and tuple(reply.registers) != request.values:
             raise ProtocolError(f"{what}: reply echoes {reply.registers[0]}, expected {request.values[0]}")
         if request.function is Function.WRITE_COIL and tuple(map(int, reply.bits)) != request.values:
@@ -432,5 +455,6 @@ def _checked(what: str, request: Request, reply: Any) -> tuple[int, ...]:
     values = reply.bits if request.function.is_bits else reply.registers
     expected = (request.count + 7) // 8 * 8 if request.function.is_bits else request.count
     if len(values) != expected:
-        raise ProtocolError(f"{what}: reply holds {len(values)} values, expected {expected}")
+        fewer = ": does it give fewer at once? (max_read_registers in its register map)" if values else ""
+        raise ProtocolError(f"{what}: reply holds {len(values)} values, expected {expected}{fewer}")
     return tuple(int(value) for value in values[: request.count])

@@ -39,11 +39,11 @@ def modbus_units(endpoint: Endpoint, clock: Clock) -> str:
         ids = ", ".join(str(unit.unit) for unit in modbus.scan(link, UNITS))
     finally:
         link.close()
-    return (
-        f"a scan found unit {ids}"
-        if ids
-        else "a scan found none of the units 1 to 16: baud, parity, stop bits, wiring?"
-    )
+    if ids:
+        return f"a scan found unit {ids}"
+    serial = isinstance(endpoint, RtuEndpoint)
+    ask = "baud, parity, stop bits, wiring" if serial else "is this the drive's address, does the gateway reach it"
+    return f"a scan found none of the units 1 to 16: {ask}?"
 
 
 def who_is_there(axis: DriveAxis) -> str:

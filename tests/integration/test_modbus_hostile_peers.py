@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 import socket
 import threading
 import time
@@ -18,10 +19,11 @@ from contextlib import contextmanager, suppress
 import pytest
 
 from drivers.clock import IO_SLICE_S, WallClock
-from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, OtherAnswerError, ProtocolError
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.wire import Endpoint, PymodbusWire, Request, RtuEndpoint, TcpEndpoint
+from hil.app.terminal.main import main
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 
 TIMEOUT_S = 0.4  # a peer is a Python thread: on a busy machine it answers in tenths of a second
@@ -262,7 +264,7 @@ TCP_PEERS: list[tuple[Peer, type[BridgeError]]] = [
     (unnumbered, NoAnswerError),
     (oversized, NoAnswerError),
     (other_protocol, NoAnswerError),
-    (another_unit, NoAnswerError),
+    (another_unit, OtherAnswerError),
     (another_function, ProtocolError),
     (unknown_function, ProtocolError),
     (busy, AbortError),
@@ -273,7 +275,7 @@ RTU_PEERS: list[tuple[Peer, tuple[type[BridgeError], ...]]] = [
     (silent, (NoAnswerError,)),
     (dribbling, (NoAnswerError,)),
     (garbage, (NoAnswerError, ProtocolError, AbortError)),  # two bytes of noise may stand for a refusal with its check
-    (another_unit, (NoAnswerError,)),
+    (another_unit, (OtherAnswerError,)),
     (another_function, (ProtocolError,)),
     (busy, (AbortError,)),
     (acknowledging, (AbortError,)),
@@ -298,6 +300,61 @@ def test_a_read_from_a_unit_that_misbehaves_ends(peer: Peer, errors: tuple[type[
         with pytest.raises(errors):
             link.read(1, HOLDING, Span(0, 2))
         assert time.monotonic() - started_s < BOUND_S + ROOM_S
+
+
+def answering_as(unit: int) -> Peer:
+    """Every request is answered, whatever unit it names, as this one."""
+
+    def peer(request: Frame, send: Send) -> None:
+        send(packed(Frame(unit, honest(request).pdu, request.transaction)))
+
+    return peer
+
+
+@pytest.mark.parametrize(("wire", "unit", "asked"), [("tcp", 0, 1), ("tcp", 1, 5), ("tcp", 255, 3), ("rtu", 2, 1)])
+def test_a_reply_of_another_unit_names_both_and_what_to_try(wire: str, unit: int, asked: int) -> None:
+    with (tcp_peer if wire == "tcp" else rtu_peer)(answering_as(unit)) as endpoint, linked(endpoint) as link:
+        words = f"answered as unit {unit}, asked was unit {asked}: try unit = {unit}"
+        with pytest.raises(OtherAnswerError, match=words):
+            link.read(asked, HOLDING, Span(0, 2))
+        with pytest.raises(NoAnswerError, match=words):
+            link.write(asked, HOLDING, 0, (1, 2))
+        assert link.read(unit, HOLDING, Span(0, 2)) == (1, 2)
+
+
+@pytest.mark.parametrize(("unit", "also"), [(0, "1-16"), (1, "2-16"), (9, "1-8,10-16"), (255, "1-16")])
+def test_a_scan_lists_a_server_that_answers_every_request_as_one_unit(
+    unit: int, also: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with tcp_peer(answering_as(unit)) as endpoint:
+        assert main(["scan", "--tcp", str(endpoint), "--timeout", "5"]) == 0
+    said = capsys.readouterr().out
+    assert f"unit {unit} answered when unit {also} was asked: give unit = {unit}" in said
+    assert f"--unit {unit}," in said
+    assert re.search(rf"(?m)^ +{unit} +registers", said)
+
+
+def test_a_scan_of_a_line_says_when_one_unit_answers_for_another(capsys: pytest.CaptureFixture[str]) -> None:
+    with rtu_peer(answering_as(2)) as endpoint:
+        line = ["--serial", f"{endpoint.device}?parity=N", "--baud", "115200", "--units", "1-2"]
+        assert main(["scan", *line, "--timeout", "0.2"]) == 0
+    assert "unit 2 answered when unit 1 was asked: give unit = 2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("reply", "words"),
+    [
+        (lambda request: reply_to(request, 7), "reply holds 1 values, expected 2: does it give fewer at once"),
+        (lambda request: reply_to(request, 7, 8, 9), "reply holds 3 values, expected 2"),
+        (lambda request: request.with_pdu(b"\x04\x04\0\1\0\2"), "reply to function 4"),
+    ],
+)
+def test_a_reply_of_another_length_or_function_is_said(reply: Callable[[Frame], Frame], words: str) -> None:
+    def peer(request: Frame, send: Send) -> None:
+        send(packed(reply(request)))
+
+    with tcp_peer(peer) as endpoint, linked(endpoint) as link, pytest.raises(ProtocolError, match=words):
+        link.read(1, HOLDING, Span(0, 2))
 
 
 @pytest.mark.parametrize("peer", [silent, dribbling, garbage, others_numbers, another_function, hanging_up])

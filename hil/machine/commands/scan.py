@@ -161,6 +161,9 @@ def _modbus(args: argparse.Namespace) -> list[modbus.FoundUnit]:
         link.close()
     if found:
         print_table(("unit", ("answers", "left"), ("drive", "left")), [_unit_row(unit) for unit in found])
+    for unit in found:
+        if unit.also:
+            print(f"unit {unit.unit} answered when unit {listed_ids(unit.also)} was asked: give unit = {unit.unit}")
     if len(found) == len(units) > 1 and isinstance(endpoint, TcpEndpoint):
         print("every unit id is answered: this server does not look at it, and is one device")
     return found
@@ -202,6 +205,15 @@ def parse_ids(text: str, option: str, lowest: int, highest: int) -> list[int]:
             raise InputError(f"{option} is {text!r}, expected ids {lowest} to {highest}, ranges ascending")
         ids.update(range(start, end + 1))
     return sorted(ids)
+
+
+def listed_ids(ids: Sequence[int]) -> str:
+    """[1, 2, 3, 5] -> `1-3,5`."""
+    firsts = [each for each in ids if each - 1 not in ids]
+    lasts = [each for each in ids if each + 1 not in ids]
+    return ",".join(
+        str(first) if first == last else f"{first}-{last}" for first, last in zip(firsts, lasts, strict=True)
+    )
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
