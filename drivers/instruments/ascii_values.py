@@ -1,8 +1,9 @@
 """Decoder for instruments that send their value as text, one line each; a pattern describes the line. No I/O.
 
 A pattern is a regular expression over the whole line with a group `value` and, where the line says it, a group `unit` (mm, um, µm,
-in, inch, "). It should fix the width of the number, or `decimals` be given: otherwise `+0000.12`, a line that lost its end, would
-be as valid as `+0000.123`. Shipped: "mitutoyo" (01A+0000.123 CR, 9600 8N1, digital counters and USB tools) and "number".
+in, inch, "); capitals and small letters are the same. It should fix the width of the number, or `decimals` be given: otherwise
+`+0000.12`, a line that lost its end, would be as valid as `+0000.123`. Shipped: "mitutoyo" (01A+0000.123 CR, 9600 8N1, digital
+counters and USB tools) and "number".
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ LONGEST_BYTES = 200
 
 PATTERNS: dict[str, str] = {
     "mitutoyo": r"0\dA(?P<value>[+-](?=[\d.]{8}$)\d+\.\d+)",
-    "number": r"\s*+(?P<value>[+-]?\s*+\d+(\.\d+)?)\s*+(?P<unit>mm|um|µm|in|inch|\")?\s*",
+    "number": r"\s*+(?P<value>[+-]?\s*+\d+(\.\d+)?)\s*+(?P<unit>mm|um|\N{GREEK SMALL LETTER MU}m|in|inch|\")?\s*",
 }
-MM: dict[str, float] = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "in": 25.4, "inch": 25.4, '"': 25.4}
+MM: dict[str, float] = {"mm": 1.0, "um": 1e-3, "\N{GREEK SMALL LETTER MU}m": 1e-3, "in": 25.4, "inch": 25.4, '"': 25.4}
+"""Unit, case-folded (the micro sign becomes a mu), -> mm."""
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,2})?")
 
 
@@ -40,7 +42,7 @@ class AsciiSettings:
     request: bytes = b""
 
     def __post_init__(self) -> None:
-        if self.unit not in MM:
+        if self.unit.casefold() not in MM:
             raise InputError(f"unit is {self.unit!r}, expected one of {', '.join(MM)}")
         if "value" not in _compiled("pattern", PATTERNS.get(self.pattern, self.pattern)).groupindex:
             raise InputError(f"pattern {self.pattern!r} has no group (?P<value>…)")
@@ -91,14 +93,14 @@ class AsciiDecoder:
         if wanted is not None and len(number.partition(".")[2]) != wanted:
             return BadLine(raw, f"has another number of decimals than {wanted}")
         unit = match.groupdict().get("unit") or self.settings.unit
-        if unit not in MM:
+        if unit.casefold() not in MM:
             return BadLine(raw, f"has the unit {unit[:8]!r}, expected one of {', '.join(MM)}")
-        value_mm = float(number) * MM[unit]
+        value_mm = float(number) * MM[unit.casefold()]
         return Value(value_mm) if math.isfinite(value_mm) else BadLine(raw, "holds a number out of range")
 
 
 def _compiled(what: str, pattern: str) -> re.Pattern[str]:
     try:
-        return re.compile(pattern)
+        return re.compile(pattern, re.IGNORECASE)
     except (re.error, RecursionError, OverflowError) as error:
         raise InputError(f"{what} {pattern!r} is no regular expression: {error}") from error

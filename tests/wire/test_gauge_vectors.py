@@ -110,6 +110,39 @@ def test_numbers_with_their_units() -> None:
     assert text(b"12.5\n", using=AsciiSettings(request=b"?", unit="um")) == [Value(pytest.approx(0.0125))]
 
 
+CDI = AsciiSettings(pattern=r"(?P<value>[+-][ \d.]{8}) ,(?P<unit>[A-Z]{2})", request=b"R\r")
+PROSCALE = AsciiSettings(pattern=r"(?P<value>-?\d+\.\d+) (?P<unit>mm|in)", request=b"R\r")
+
+
+@pytest.mark.parametrize(
+    ("line", "using", "value"),
+    [
+        (b"+   1.250 ,MM\r\n", CDI, 1.25),  # "USB and RS232 communication protocol" of the maker's indicators
+        (b"-   0.050 ,IN\r\n", CDI, -1.27),
+        (b"28.35 MM\r\n", PROSCALE, 28.35),  # manual of the receiver: "5.637 IN", "28.35 MM"
+        (b"5.637 IN\r\n", PROSCALE, 143.1798),
+        (b"1.5 Mm\r\n", ASKED, 1.5),
+        (b"1.5 INCH\r\n", ASKED, 38.1),
+        (b"1500 UM\r\n", ASKED, 1.5),
+        ("1500 \N{MICRO SIGN}m\r\n".encode(), ASKED, 1.5),
+        ("1500 \N{GREEK SMALL LETTER MU}M\r\n".encode(), ASKED, 1.5),
+        ("1500 \N{GREEK CAPITAL LETTER MU}M\r\n".encode(), ASKED, 1.5),
+        ("1500 \N{MICRO SIGN}m\r\n".encode("latin-1"), ASKED, 1.5),
+        (b"2\r\n", AsciiSettings(unit="IN", request=b"?"), 50.8),
+    ],
+)
+def test_a_unit_is_read_in_capitals_and_small_letters(line: bytes, using: AsciiSettings, value: float) -> None:
+    (found,) = text(line, using=using)
+    assert isinstance(found, Value)
+    assert found.position_mm == pytest.approx(value, abs=1e-12)
+
+
+@pytest.mark.parametrize("unit", [b"V", b"M", b"MIN", b"KG"])
+def test_a_unit_that_is_no_known_length_is_no_value(unit: bytes) -> None:
+    any_unit = AsciiSettings(pattern=r"(?P<value>\d+) (?P<unit>\w+)", request=b"?")
+    assert isinstance(text(b"28 " + unit + b"\r\n", using=any_unit)[0], BadLine)
+
+
 def test_a_pattern_of_ones_own() -> None:
     own = AsciiSettings(pattern=r"P=(?P<value>-?\d+) (?P<unit>\w+);S\d", fault=r"E\d\d", request=b"R\r")
     assert text(b"P=-250 um;S1\r\nE17\r\nP=1 km;S1\r\nP=250\r\n", using=own)[:2] == [

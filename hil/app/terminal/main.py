@@ -8,9 +8,12 @@ with the traceback. After an interruption that can be resumed, one more line sta
 from __future__ import annotations
 
 import argparse
+import difflib
 import io
 import os
+import re
 import sys
+import time
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
@@ -74,8 +77,14 @@ class _OneLineParser(argparse.ArgumentParser):
     """A parser that reports an error as one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the message and exit with status 2."""
+        """Print the message, with the nearest choice in place of a list of them, and exit with status 2."""
+        if wrong := _WRONG_CHOICE.search(message):
+            near = difflib.get_close_matches(wrong[1].lower(), re.findall(r"[\w.-]+", wrong[2]), 1)
+            message = message[: wrong.start()] + f"'{wrong[1]}', the nearest is {near[0]}" if near else message
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+_WRONG_CHOICE = re.compile(r"'([^']*)' \(choose from (.*)\)")
 
 
 def load_verb(argv: Sequence[str]) -> ModuleType | None:
@@ -105,7 +114,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal without µ shows "?"
         sys.stdout.reconfigure(errors="replace")
     argv = sys.argv[1:] if argv is None else argv
-    args, before = argparse.Namespace(), None
+    args, before, status, begun_s = argparse.Namespace(), None, None, time.time()
     try:
         args = build_parser(argv).parse_args(argv)
         before = _unfinished(args)
@@ -120,13 +129,28 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     except BrokenPipeError:  # the reader of the output has closed the pipe
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        status = NOT_GOOD
+        if status is None:
+            _say(_cut_off(args, begun_s))
+            status = NOT_GOOD
     except (KeyboardInterrupt, Exception) as error:  # noqa: BLE001  a program error is one line too
         said, status = _end(error, args)
         _say(said)
         for sentence in _resume_hints(args, argv, before, error):
             _say(sentence)
     return status
+
+
+def _cut_off(args: argparse.Namespace, begun_s: float) -> str:
+    """What is said where the reader of the output (head, a pager that was left) closes it while a verb runs; begun_s: of the epoch."""
+    asked = (Path(value) for name in _WRITTEN if (value := getattr(args, name, None)) not in (None, "-"))
+    lost = [str(path) for path in asked if not path.exists() or path.stat().st_mtime < begun_s]
+    ended = "the output was closed by its reader, as head does, and the verb ended there"
+    missing = f": {' and '.join(lost)} was not written" if lost else ""
+    return f"{ended}{missing}; let the output run to its end"
+
+
+_WRITTEN = ("out", "report", "json", "certificate")
+"""Options that name a file a verb writes."""
 
 
 def _output_of(args: argparse.Namespace) -> AbstractContextManager[None]:

@@ -169,3 +169,60 @@ def test_notes_of_a_drive_that_came_up_in_a_block_are_told_at_its_end(capsys: py
         drive.notes = ["found by open", "it does not take 6084h"]
         assert capsys.readouterr().err == ""
     assert capsys.readouterr().err == "hil: it does not take 6084h\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "nearest"),
+    [
+        (
+            "calibrat X.toml",
+            "hil: argument VERB: invalid choice: 'calibrat', the nearest is calibrate (see hil --help)",
+        ),
+        ("Lost_Motion X.toml", "the nearest is lost-motion"),
+        ("params bakup X.toml", "'bakup', the nearest is backup (see hil params --help)"),
+        ("import x --format linxcnc --out y", "'linxcnc', the nearest is linuxcnc (see hil import --help)"),
+        ("xyzzy", "choose from 'help', 'demo'"),
+    ],
+)
+def test_a_wrong_verb_or_choice_names_the_nearest(line: str, nearest: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        entry.main(line.split())
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert nearest in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ("report R --out PLACE/page.html", ""),  # written before the output is
+        ("import R --format csv --out PLACE/copy.csv", ""),
+        ("iso230 R --json PLACE/figures.json", "PLACE/figures.json was not written"),
+        ("help", ""),
+    ],
+)
+def test_an_output_that_its_reader_closes_is_an_error_that_names_what_was_lost(
+    line: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    rows = tmp_path / "rows.csv"
+    rows.write_text("run,direction,target_mm,measured_mm\n1,+1,0,0.001\n1,+1,9,9.001\n1,-1,9,9.002\n1,-1,0,0.003\n")
+    reader, writer = os.pipe()
+    os.close(reader)
+    with os.fdopen(writer, "w", buffering=1) as closed:
+        monkeypatch.setattr("sys.stdout", closed)
+        assert (
+            entry.main(
+                [
+                    word.replace("R", str(rows)) if word == "R" else word.replace("PLACE", str(tmp_path))
+                    for word in line.split()
+                ]
+            )
+            == 1
+        )
+        monkeypatch.undo()
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert said.startswith("hil: the output was closed by its reader")
+    assert says.replace("PLACE", str(tmp_path)) in said
+    assert ("was not written" in said) == bool(says)
