@@ -262,6 +262,7 @@ class AxisConfig(DriveAxis):
                 "machine": self.drive.machine,
                 "seed": self.drive.seed,
                 "homing": asdict(self.drive.homing),
+                **({"simulated": True} if self.drive.simulated else {}),
             },
             "instrument": {
                 name: value

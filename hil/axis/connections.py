@@ -28,8 +28,8 @@ GUARD_S = 2.0
 _MAPS = ("cia402_over_modbus", "vendor_style")
 _KEYS = {
     "canopen": "interface channel bitrate node_id axis sdo_timeout_s sample_timeout_s heartbeat_s guard_s eds homing correction_table"
-    " velocity_unit acceleration_unit modes",
-    "modbus": "register_map url unit baud",
+    " velocity_unit acceleration_unit modes simulated",
+    "modbus": "register_map url unit baud simulated",
     "bench": "machine seed face homing correction_table profile velocity_unit acceleration_unit modes",
     "bench over Modbus": "machine seed face register_map",
 }
@@ -103,6 +103,12 @@ class DriveConfig:
     velocity_unit: Annotated[Text | None, Limits(description='a unit such as "rpm"')] = None
     acceleration_unit: Annotated[Text | None, Limits(description='a unit such as "rpm/s"')] = None
     modes: tuple[Annotated[int, Limits(ge=1, le=10)], ...] = ()
+    simulated: bool = False
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether the machine is: the bench, or the process of a `hil sim`."""
+        return self.simulated or self.backend == "bench"
 
 
 def read_drive(document: Document) -> DriveConfig:

@@ -17,11 +17,11 @@ from hil.axis.axis_file import AxisConfig, accuracy_of, uncertainty_of
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY, backlash_of, signs_of
 from hil.correction.store import bound_tables
 from hil.correction.tables import Band, NotJudged, Outside, SignedSections, SingleTable, judge, section_means
-from hil.figures.history import Pass, read_campaign
+from hil.figures.history import Pass, read_campaign, series
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget_um
 from hil.figures.verdict import Accuracy
-from hil.records.journal import MARKER, Campaign
+from hil.records.journal import Campaign
 from hil.records.rows import Records, concatenate
 
 Points = tuple[tuple[float, float], ...]
@@ -146,23 +146,17 @@ def _figures(axis: AxisConfig, records: Records) -> tuple[dict[str, float], dict
 def _last_passes(axis: AxisConfig, kind: str) -> tuple[dict[str, Pass], Band | None]:
     """The passes of the last campaign of this kind that has rows, by name, and the axis's band with the signs that it states."""
     band = axis.correction.band
-    for directory in sorted(axis.store.directory.glob(f"{kind}-[0-9]*"), key=_of_series, reverse=True):
-        if (directory / MARKER).is_file():
-            campaign = read_campaign(directory)
-            passes = {one.name: one for one in campaign.passes if one.records is not None}
-            if passes:
-                return passes, None if band is None else replace(band, signs=_signs(campaign.purpose))
+    for directory in series(axis.store.directory, kind):
+        campaign = read_campaign(directory)
+        passes = {one.name: one for one in campaign.passes if one.records is not None}
+        if passes:
+            return passes, None if band is None else replace(band, signs=_signs(campaign.purpose))
     return {}, band
 
 
 def _signs(purpose: Mapping[str, Any]) -> tuple[SignedSections, ...]:
     """None of a campaign that states no band: its rows are held against the axis file's as it is without signs."""
     return signs_of(purpose) if (purpose.get("correction") or {}).get("band") else ()
-
-
-def _of_series(directory: Path) -> int:
-    number = directory.name.rpartition("-")[2]
-    return int(number) if number.isdecimal() else -1
 
 
 def _number(item: tuple[str, Any]) -> int:

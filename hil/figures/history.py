@@ -20,7 +20,7 @@ from drivers.errors import InputError
 from drivers.files import decode_log, read_bytes
 from hil.figures.iso230 import Iso230, iso230
 from hil.records.files import split_lines
-from hil.records.journal import BEGUN, CHAINED, MARKER, checksums, grew_from, read_purpose
+from hil.records.journal import BEGUN, CHAINED, FINISHED, MARKER, checksums, grew_from, read_purpose
 from hil.records.row_chain import order_written
 from hil.records.rows import Records, concatenate, parse_csv
 
@@ -114,6 +114,25 @@ def read_campaign(directory: Path) -> FoundCampaign:
     place = {name: at for at, name in enumerate(order_written(directory) if chained else ())}
     passes.sort(key=lambda one: (place.get(one.path.name, len(place)), one.begun.timestamp(), one.name))
     return FoundCampaign(directory, purpose, tuple(passes))
+
+
+def series(directory: Path, kind: str) -> list[Path]:
+    """The folders of the campaigns of a kind in an axis's folder, the newest first."""
+    begun = [marker.parent for marker in directory.glob(f"{kind}-[0-9]*/{MARKER}")]
+    numbered = [path for path in begun if path.name.removeprefix(f"{kind}-").isdecimal()]
+    return sorted(numbered, key=lambda path: int(path.name.rpartition("-")[2]), reverse=True)
+
+
+def latest_file(directory: Path, kind: str, axis: str) -> Path | None:
+    """The record file of the latest campaign of a kind, of one pass, that was measured to its end; None without one.
+
+    Raises InputError as `read_campaign`.
+    """
+    for folder in series(directory, kind):
+        path = folder / f"{kind}.csv"
+        if (folder / FINISHED).exists() and path.exists() and read_purpose(folder).get("axis") == axis:
+            return path
+    return None
 
 
 def read_pass(path: Path, closed_as: str | None) -> Pass:

@@ -400,6 +400,19 @@ def read_purpose(directory: Path) -> dict[str, Any]:
     return purpose
 
 
+def name_of(path: str | Path) -> str:
+    """The name of a record file as outputs show it: with its campaign's folder where it lies in one."""
+    path = Path(path)
+    return f"{path.parent.name}/{path.name}" if (path.parent / MARKER).exists() else path.name
+
+
+def simulated(path: str | Path) -> bool:
+    """Whether the campaign of this record file states a simulated machine; False where it lies in none."""
+    directory = Path(path).parent
+    drive = read_purpose(directory).get("drive") if (directory / MARKER).exists() else None
+    return isinstance(drive, dict) and (drive.get("backend") == "bench" or drive.get("simulated") is True)
+
+
 def stated_targets_mm(path: str | Path) -> tuple[float, ...]:
     """Targets of the axis's tables, mm, as the campaign of this record file states them; () where it states none or there is none."""
     directory = Path(path).parent

@@ -115,6 +115,11 @@ def test_from_a_scan_to_a_proven_axis(name: str, tmp_path: Path, capsys: pytest.
         assert maker.memory() == before, "nothing is written"
         axis = load_axis(path)
         assert axis.scaling.encoder_counts_per_motor_rev == maker.counts_per_rev
+        assert axis.uncertainty is not None, "else a verification at its end decides nothing"
+        assert axis.correction.accuracy_limit_um == 10.0
+        text = path.read_text(encoding="utf-8")
+        assert "accuracy_limit_um = 10.0    # assumed" in text
+        assert "[uncertainty]    # ASSUMED" in text
         endpoint = modbus_endpoint(axis)
         drive = ModbusDrive(
             axis.name,

@@ -23,7 +23,7 @@ from hil.axis.axis_file import load_axis
 from hil.calibration.page_data import calibration_screen
 
 UNCERTAINTY = """
-accuracy_limit_um = 9.0
+accuracy_limit_um = 30.0
 
 [uncertainty]
 device_um = 0.2
@@ -103,7 +103,7 @@ def _rounded(values: dict[str, Any], known: dict[str, Any]) -> Figures:
 
 def _terminal(shown: Shown) -> Figures:
     rows = re.findall(r"^ +([AEMRB][↑↓\u0304]?) +(-?[\d.]+) +([\d.]+) ", shown.terminal, re.MULTILINE)
-    head = re.search(r"A = ([\d.]+) ± ([\d.]+) µm at other targets; limit 9 µm: (\w+)", shown.terminal)
+    head = re.search(r"A = ([\d.]+) ± ([\d.]+) µm at other targets; limit 30 µm: (\w+)", shown.terminal)
     stage = re.search(r"^ +verified, other targets +\d+ +([\d.]+) +([\d.]+)", shown.terminal, re.MULTILINE)
     assert head is not None
     assert stage is not None
@@ -138,7 +138,7 @@ def _written(text: str, row: str) -> Figures:
     """From the table of figures and the first sentence of a report, as text; row: pattern of a row's name and cells."""
     rows = re.findall(row, text)
     figures = {_name(symbol): value for symbol, value, _ in rows} | {f"U({_name(s)})": u for s, _, u in rows}
-    head = re.search(r"A = ([\d.]+) ± ([\d.]+) µm at other targets; limit 9 µm: (\w+)", text)
+    head = re.search(r"A = ([\d.]+) ± ([\d.]+) µm at other targets; limit 30 µm: (\w+)", text)
     spread = [re.search(rf"{name}\W+(?:</th><td>)?([\d.]+)", text) for name in ("RMS error", "largest error")]
     assert head is not None
     assert (figures["A"], figures["U(A)"]) == (head[1], head[2]), "the sentence and the table below it"
@@ -149,7 +149,7 @@ def _written(text: str, row: str) -> Figures:
 def _certificate(shown: Shown) -> Figures:
     rows = re.findall(r"(?m)^([AEMRB][↑↓\u0304]?) (-?[\d.]+) ([\d.]+) µm ", shown.certificate)
     head = re.search(
-        r"is A\s+= ([\d.]+) ± ([\d.]+) µm \(U, k = 2\) against a limit of 9.00 µm: (\w+)", shown.certificate
+        r"is A\s+= ([\d.]+) ± ([\d.]+) µm \(U, k = 2\) against a limit of 30.00 µm: (\w+)", shown.certificate
     )
     assert head is not None
     figures = {_name(symbol): value for symbol, value, _ in rows} | {f"U({_name(s)})": u for s, _, u in rows}

@@ -15,7 +15,7 @@ def drive_in_words(axis: DriveAxis) -> str:
         "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
         "modbus": f"Modbus unit {axis.drive.node_id} on {axis.drive.url}, {axis.drive.register_map}",
     }
-    return where[axis.drive.backend]
+    return where[axis.drive.backend] + (", simulated" if axis.drive.simulated else "")
 
 
 def identity(axis: AxisConfig) -> dict[str, str]:

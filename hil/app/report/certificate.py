@@ -38,6 +38,8 @@ from hil.records.rows import Floats, Records
 NOT_RECORDED = "not recorded with the measurement"
 """What a certificate says of an environment that its records do not hold."""
 
+SIMULATED = "The machine is simulated: this states nothing of a real one."
+
 UNITS: Mapping[str, str] = MappingProxyType(
     {
         "µm": r"\micro\metre",
@@ -95,7 +97,8 @@ class Certificate:
     """What a certificate states.
 
     sentence: the result in one; standard, clauses, method: how it was measured; stated: figures, the one that is decided first; files:
-    name -> SHA-256 of the records; setup, surroundings: name -> text; conditions: name -> (unit, lowest, highest).
+    name -> SHA-256 of the records; setup, surroundings: name -> text; conditions: name -> (unit, lowest, highest);
+    simulated: whether the machine is; short_of: what the standard asks for beyond what was done, "" for nothing.
     """
 
     kind: str
@@ -118,6 +121,8 @@ class Certificate:
     notes: tuple[str, ...] = ()
     sources: tuple[tuple[str, str, float], ...] = ()
     drawings: tuple[Drawing, ...] = field(default=(), compare=False)
+    simulated: bool = False
+    short_of: str = ""
 
     @property
     def number(self) -> str:
@@ -142,6 +147,7 @@ class Common:
     issued: str
     limit_um: float | None = None
     doubts: tuple[str, ...] = ()  # what could not be checked of the records
+    simulated: bool = False
 
     @property
     def config(self) -> CertificateConfig:
@@ -166,7 +172,13 @@ class Common:
         }
         setup = {name: text for name, text in identity(self.axis).items() if name != "Axis"}
         usual: dict[str, Any] = {"issued": self.issued, "setup": setup, "surroundings": {}, "conditions": {}}
-        return Certificate(**(usual | common | parts | {"notes": (*self.doubts, *parts.get("notes", ()))}))
+        told: dict[str, Any] = {"notes": (*self.doubts, *parts.get("notes", ()))}
+        if self.simulated:
+            told["notes"] = (SIMULATED, *told["notes"])
+            told["title"] = f"SIMULATED MACHINE: {parts['title']}"
+            told["sentence"] = f"Of a simulated machine. {parts['sentence']}"
+            told["simulated"] = True
+        return Certificate(**(usual | common | parts | told))
 
 
 def positioning(common: Common, campaign: NamedCampaign) -> Certificate:
@@ -197,6 +209,8 @@ def positioning(common: Common, campaign: NamedCampaign) -> Certificate:
     known_a = "not known" if accuracy is None else _told(accuracy)
     if accuracy is None and common.limit is not None:
         known_a += f"; undecided against a limit of {markup.number(common.limit)} µm"
+    short_of = "; ".join(note for note in figures.notes if "the standard asks for" in note)
+    known_a += f" ({short_of})" if short_of else ""
     sentence = f"The bi-directional accuracy of positioning of axis {common.axis.name} {between}, {how}, is {known_a}."
     columns = {"target": ("mm", figures.target_mm)}
     for name in ("mean_up", "mean_down", "s_up", "s_down", "B_i"):
@@ -212,6 +226,7 @@ def positioning(common: Common, campaign: NamedCampaign) -> Certificate:
         kind="positioning",
         title=f"Positioning of axis {common.axis.name}",
         sentence=sentence,
+        short_of=short_of,
         standard="ISO 230-2:2014",
         clauses="clause 5 (test procedure), clause 3 (figures); uncertainty by ISO/TR 230-9:2005",
         method=(
@@ -343,7 +358,7 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
     decided = next((one for one in certificate.stated if one.limit is not None), certificate.stated[0])
     verdict = certificate.verdict
     good = {Conformity.PASS: True, Conformity.FAIL: False}.get(verdict) if verdict is not None else None
-    tiles = [] if verdict is None else [Tile("Verdict", verdict.value, good=good)]
+    tiles = [] if verdict is None else [Tile("Verdict", verdict.value, below=certificate.short_of, good=good)]
     tiles.append(
         Tile(
             decided.symbol,
@@ -400,7 +415,7 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
                 ("Contribution", "U, µm (k = 2)", ""),
                 lines,
                 "meaning",
-                "Uncertainty of measurement, of A; the squares add up",
+                "Uncertainty of measurement: what U of the first figure is from; the squares add up",
             )
         )
     remarks = (*certificate.notes, *config.notes)
@@ -410,7 +425,8 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
         Heading("Who and when"),
         Facts(
             {
-                "Measured": _days(certificate.begun, certificate.ended),
+                "Measured": f"{_days(certificate.begun, certificate.ended)}, {', '.join(certificate.files)}",
+                "Place": _place(config),
                 "Issued": certificate.issued,
                 "Laboratory": _party(config.laboratory),
                 "Customer": _party(config.customer),
@@ -419,7 +435,14 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
             }
         ),
         Table(("Records", "SHA-256"), tuple(certificate.files.items()), "hash"),
+        Table(("Place and date", f"Signature of {config.person}"), (("", ""),), "signature"),
     ]
+
+
+def _place(config: CertificateConfig) -> str:
+    """Where the machine stands."""
+    party = {"customer": config.customer, "laboratory": config.laboratory}.get(config.place)
+    return config.place if party is None else f"{config.place}: {_party(party)}"
 
 
 def _device(one: Device) -> str:

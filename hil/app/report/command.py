@@ -7,6 +7,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,16 +16,18 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from drivers.errors import InputError
 from drivers.files import decode_text, read_bytes, read_text, replace_file
 from hil.app.jobs.identity import identity
-from hil.app.report.issue import add_certificate_options, write_certificates
+from hil.app.report.issue import add_certificate_options, ending, write_certificates
 from hil.app.report.job import now, write_report
 from hil.app.terminal.measuring_options import add_limit_option
 from hil.app.terminal.output import add_json_option, write_json
 from hil.axis.axis_file import AxisConfig, load_axis, uncertainty_of
+from hil.calibration.job import CALIBRATE, VERIFY
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.correction.tables import Band
+from hil.figures.history import latest_file, read_campaign, series
 from hil.figures.uncertainty import Budget
 from hil.records.files import parse_json
-from hil.records.journal import stated_targets_mm
+from hil.records.journal import FINISHED, name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
 
 if TYPE_CHECKING:  # plots are slow to import
@@ -58,7 +61,8 @@ example:
   hil report records.csv --out report.html
   hil report before.csv after.csv --label before --label "after calibration" --identity Axis=X --out report.html
   hil report left.csv --diagnosis found.json --out report.html --png plots/ --pdf report.pdf
-  hil report verify.csv --axis-file X.toml --certificate X.pdf --dcc X.xml       # signed; `hil check X.pdf --builder builder.pub`
+  hil report --axis-file X.toml --out report.html                                 # of the latest verification
+  hil report --axis-file X.toml --certificate X.pdf --dcc X.xml                   # signed; `hil check X.pdf --builder builder.pub`
   hil report --compare spring.csv autumn.csv --axis-file X.toml --builder builder.pub --out compared.html
 
 The file stands alone: it can be mailed, archived, printed, and signed with `hil sign report.html --key builder.key`.
@@ -74,7 +78,10 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument(
-        "records", metavar="RECORDS.csv", nargs="*", help="record files in the order of time, one campaign each"
+        "records",
+        metavar="RECORDS.csv",
+        nargs="*",
+        help="record files in the order of time, one campaign each (default: the latest verification of --axis-file)",
     )
     parser.add_argument("--compare", metavar=("A", "B"), nargs=2, help="two record files, set against each other")
     parser.add_argument(
@@ -125,7 +132,8 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument(
         "--pdf",
-        metavar="FILE",
+        metavar="FILE.pdf",
+        type=partial(ending, ".pdf"),
         help="also write it as a PDF: all of it, on numbered A4 sheets that name the hash of the HTML file"
         " (needs the report-pdf extra: pip install 'hil[report-pdf]')",
     )
@@ -148,7 +156,7 @@ def run(args: argparse.Namespace) -> int:
     axis = None if args.axis_file is None else load_axis(args.axis_file)
     if args.result is not None:
         return write_certificates(args, axis, (), None)
-    paths = _record_files(args)
+    paths = _record_files(args, axis)
     labels = args.label or _default_labels(paths)
     if len(labels) != len(paths):
         raise InputError(f"{len(labels)} --label for {len(paths)} record files, expected one for each")
@@ -161,7 +169,7 @@ def run(args: argparse.Namespace) -> int:
     for label, path in zip(labels, paths, strict=True):
         data = read_bytes(path)
         records, own = parse_csv(decode_text(data, path), path), stated_targets_mm(path)
-        one = NamedCampaign(label, records, "", Path(path).name, _sha256(data), calibrated_mm=own)
+        one = NamedCampaign(label, records, "", name_of(path), _sha256(data), calibrated_mm=own)
         if args.join and campaigns and campaigns[-1].label == label:
             one = _joined(campaigns.pop(), one)
         campaigns.append(one)
@@ -221,10 +229,36 @@ def _joined(first: NamedCampaign, second: NamedCampaign) -> NamedCampaign:
     return replace(first, records=records, source=source, sha256=digest, files=first.files + 1, calibrated_mm=own)
 
 
-def _record_files(args: argparse.Namespace) -> list[str]:
-    if bool(args.records) == (args.compare is not None):
+def _record_files(args: argparse.Namespace, axis: AxisConfig | None) -> list[str]:
+    """The files that were named; without any, the axis's latest verification, which is said. Of an older one the latest is named."""
+    if args.records and args.compare is not None:
         raise InputError("expected record files, or --compare A B, and not both")
-    return list(args.compare or args.records)
+    named = list(args.compare or args.records)
+    if axis is None and not named:
+        raise InputError("expected record files, or --axis-file AXIS.toml, whose latest verification is taken then")
+    if axis is None:
+        return named
+    latest = latest_file(axis.store.directory, VERIFY, axis.name)
+    if named:
+        older = Path(named[-1]).resolve().parent in map(Path.resolve, series(axis.store.directory, VERIFY))
+        if older and latest is not None and latest.resolve() != Path(named[-1]).resolve():
+            print(f"of {name_of(named[-1])} as named; the latest verification is {name_of(latest)}")
+        return named
+    if latest is None:
+        what = "holds no finished verification of the axis: measure with `hil verify`, or name record files"
+        raise InputError(what, path=axis.store.directory)
+    tables = next((path for path in series(axis.store.directory, CALIBRATE) if (path / FINISHED).exists()), None)
+    if tables is not None and _begun(tables) > _begun(latest.parent):
+        what = f"is older than {tables.name}: verify the present tables with `hil verify`, or name record files"
+        raise InputError(what, path=latest)
+    print(f"of the latest verification, {latest}")
+    args.records = [str(latest)]
+    return list(args.records)
+
+
+def _begun(directory: Path) -> float:
+    begun = read_campaign(directory).begun
+    return 0.0 if begun is None else begun.timestamp()
 
 
 def _band(args: argparse.Namespace, axis: AxisConfig | None) -> Band | None:

@@ -19,7 +19,7 @@ from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from drivers.errors import InputError
-from hil.app.report.certificate import NOT_RECORDED, UNITS, Certificate, Stated
+from hil.app.report.certificate import NOT_RECORDED, SIMULATED, UNITS, Certificate, Stated
 from hil.axis.certificate import Device, Party
 from hil.figures.uncertainty import CONFORMITY_RULE, Conformity
 
@@ -112,7 +112,11 @@ def _administrative(root: ET.Element, certificate: Certificate) -> None:
 
     items = _add(data, "items")
     for title, device, extra in (
-        (f"machine, axis {certificate.axis}", config.machine, certificate.axis),
+        (
+            f"{'simulated ' if certificate.simulated else ''}machine, axis {certificate.axis}",
+            config.machine,
+            certificate.axis,
+        ),
         ("drive", config.drive, ""),
     ):
         item = _add(items, "item")
@@ -130,6 +134,10 @@ def _administrative(root: ET.Element, certificate: Certificate) -> None:
     _add(responsible, "mainSigner", "true")
     _contact(data, "customer", config.customer)
     statements = _add(data, "statements")
+    if certificate.simulated:
+        statement = _add(statements, "statement", refType="hil_simulated")
+        _named(statement, "name", "simulated machine")
+        _named(statement, "declaration", SIMULATED)
     for note in (f"Decisions by {CONFORMITY_RULE}.", *certificate.notes, *config.notes):
         _named(_add(statements, "statement"), "declaration", note)
     for name, digest in certificate.files.items():

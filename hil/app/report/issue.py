@@ -8,6 +8,7 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date, datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +21,7 @@ from hil.app.terminal.passwords import KEY, password
 from hil.axis.axis_file import AxisConfig
 from hil.correction.sealed import fingerprint, load_private_key, sign_detached
 from hil.records.files import naming, parse_json
-from hil.records.journal import BEGUN, check_as_measured
+from hil.records.journal import BEGUN, check_as_measured, name_of, simulated
 from hil.records.rows import parse_csv
 
 if TYPE_CHECKING:  # plots are slow to import
@@ -28,6 +29,13 @@ if TYPE_CHECKING:  # plots are slow to import
     from hil.app.report.data import NamedCampaign
 
 _BEGUN = re.compile(rf"^# {BEGUN}(\S+?),?(?:\s|$)", re.MULTILINE)
+
+
+def ending(suffix: str, name: str) -> str:
+    """The name of a file of one kind, as the type of an option."""
+    if Path(name).suffix.lower() != suffix:
+        raise argparse.ArgumentTypeError(f"is {name!r}, expected a name ending in {suffix}")
+    return name
 
 
 def add_certificate_options(parser: argparse.ArgumentParser) -> None:
@@ -38,11 +46,13 @@ def add_certificate_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--certificate",
         metavar="FILE.pdf",
+        type=partial(ending, ".pdf"),
         help="write a signed certificate of the last campaign, FILE.pdf and FILE.pdf.sig",
     )
     group.add_argument(
         "--dcc",
         metavar="FILE.xml",
+        type=partial(ending, ".xml"),
         help="write it as a Digital Calibration Certificate (PTB's DCC 3), FILE.xml and FILE.xml.sig",
     )
     group.add_argument(
@@ -149,12 +159,13 @@ def _common(args: argparse.Namespace, axis: AxisConfig, paths: Sequence[str]) ->
     from hil.app.report.certificate import Common  # noqa: PLC0415
     from hil.app.report.job import now  # noqa: PLC0415
 
-    names = [Path(path).name for path in paths]
+    names = [name_of(path) for path in paths]
     shown = names if len(set(names)) == len(names) else list(paths)
     files = {name: hashlib.sha256(read_bytes(path)).hexdigest() for name, path in zip(shown, paths, strict=True)}
     doubts = () if args.result else tuple(doubt for path in paths if (doubt := check_as_measured(path, axis.name)))
     begun, ended = _days(args.measured, paths)
-    return Common(axis, files, begun, ended, now(), args.limit, doubts)
+    simulator = axis.drive.is_simulated or any(map(simulated, paths))
+    return Common(axis, files, begun, ended, now(), args.limit, doubts, simulator)
 
 
 def _days(stated: str | None, paths: Sequence[str]) -> tuple[date, date]:

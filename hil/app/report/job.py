@@ -17,7 +17,7 @@ from hil.app.report.views import diagnosed
 from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.diagnosis.stored import read_stored, stored_beside
 from hil.figures.history import find_campaigns, history, usual_pass
-from hil.records.journal import stated_targets_mm
+from hil.records.journal import name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
 
 FOLDER = "reports"
@@ -41,7 +41,7 @@ def named_campaign(wanted: Wanted) -> NamedCampaign:
         source, digest = f"{len(wanted.paths)} files of {wanted.paths[0].parent.name}", ""
     else:
         path = wanted.paths[0]
-        source, digest = path.name, hashlib.sha256(read_bytes(path)).hexdigest()
+        source, digest = name_of(path), hashlib.sha256(read_bytes(path)).hexdigest()
     own = tuple(target for path in wanted.paths for target in stated_targets_mm(path))
     return NamedCampaign(wanted.label, records, "", source, digest, files=len(wanted.paths), calibrated_mm=own)
 

@@ -54,7 +54,7 @@ def axis_text(
     limits, scaling = parameters.limits, parameters.scaling
     if counts_per_rev is not None:
         scaling = replace(scaling, encoder_counts_per_motor_rev=counts_per_rev)
-    keys = "\n".join(f"{name} = {_toml(value)}" for name, value in drive.items())
+    keys = "\n".join(f"{name} = {_toml(value)}" for name, value in (drive | {"simulated": True}).items())
     first, last = 0.01 * parameters.plant.length_mm, 0.99 * parameters.plant.length_mm
     return f"""\
 # The machine of a running `hil sim`.

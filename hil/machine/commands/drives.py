@@ -132,7 +132,8 @@ def _new(args: argparse.Namespace) -> int:
         raise
     for note in found.notes:
         print(note)
-    print(f"{path}: written. Look it through, then: hil doctor {path}")
+    print(f"{path}: written; its [uncertainty] and what else it says is assumed are yours to change")
+    print(f"look it through, then: hil doctor {path}")
     if args.json:
         write_json(args.json, {"file": str(path), "notes": found.notes, "verified_on_hardware": False})
     return 0

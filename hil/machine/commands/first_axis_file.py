@@ -49,7 +49,20 @@ COUNTS = Question("--counts-per-rev", "N", "position counts of the drive per tur
 FEED = Question("--feed", "MM", "travel of the table per turn of the screw, mm")
 GEAR = Question("--gear", "N", "turns of the motor per turn of the screw, such as 5/2")
 PORT = Question("--instrument-port", "PORT", "the instrument's port")
-QUESTIONS = (TRAVEL, VELOCITY, ACCELERATION, COUNTS, FEED, GEAR, PORT)
+LIMIT = Question("--accuracy-limit", "UM", "largest accuracy A that is allowed, µm")
+QUESTIONS = (TRAVEL, VELOCITY, ACCELERATION, COUNTS, FEED, GEAR, PORT, LIMIT)
+
+USUAL_LIMIT_UM = "10"
+"""Stated as assumed in the axis file, µm."""
+UNCERTAINTY = """
+[uncertainty]    # ASSUMED of a laser interferometer in a workshop, k = 2: put what your certificate and your room say
+device_um = 0.1                      # the instrument's certificate: U = device_um + device_um_per_m · length
+device_um_per_m = 0.5
+misalignment_mm = 0.5                # lateral range of the beam over the travel
+temperature_range_c = 0.5            # range of the measured temperature
+expansion_range_um_per_m_c = 1.0     # range of the expansion of the machine's scale
+variation_um = 0.5                   # range of a drift test as long as a campaign
+"""
 
 
 @dataclass
@@ -128,6 +141,7 @@ def axis_text(ask: Answers, name: str, found: FirstContact) -> str:
     acceleration = ACCELERATION.parse(ask.need(ACCELERATION)[0])[0]
     scaling = ask.scaling(reported)
     port = ask.need(PORT)[0]
+    limit_um = LIMIT.parse(ask.need(LIMIT, usual=USUAL_LIMIT_UM)[0])[0]
     margin = min(5.0, 0.05 * (high - low))
     lines = [
         "# Made by `hil drives new`. Each figure says where it is from; hil doctor proves the units before anything else is done.",
@@ -160,5 +174,9 @@ def axis_text(ask: Answers, name: str, found: FirstContact) -> str:
         f"overrun_mm = {0.5 * margin!r}",
         *([] if found.homes else ["home = false"]),
         *found.more,
+        "",
+        "[correction]",
+        f"accuracy_limit_um = {limit_um!r}    # {ask.found[LIMIT.name][1]}: `hil verify` says pass or fail against it",
+        UNCERTAINTY.rstrip("\n"),
     ]
     return "\n".join(lines) + "\n"

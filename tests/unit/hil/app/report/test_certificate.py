@@ -6,6 +6,7 @@ import dataclasses
 import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 from datetime import date
@@ -304,6 +305,7 @@ def every_kind() -> dict[str, Certificate]:
         "loop": loop(common(), before, after, FOUND),
         "circle": of_result(common(limit_um=20.0), circle_result()),
         "probe": of_result(common(), PROBE),
+        "simulated": positioning(common(simulated=True), NamedCampaign("verify", rows(other_targets(), runs=3))),
     }
 
 
@@ -392,9 +394,9 @@ def test_a_report_needs_something_to_write(place: Path, capsys: pytest.CaptureFi
     assert "nothing to write" in capsys.readouterr().err
 
 
-def in_campaign(records: Records, folder: str, axis: str = "X", targets: list[float] | None = None) -> str:
+def in_campaign(records: Records, folder: str, axis: str = "X", targets: list[float] | None = None, **more: Any) -> str:
     """Rows as a campaign leaves them: chained, with its purpose beside them."""
-    purpose = {"axis": axis, "kind": "verify", "measurement": {"targets_mm": targets or []}}
+    purpose = {"axis": axis, "kind": "verify", "measurement": {"targets_mm": targets or []}, **more}
     campaign = Campaign(Path(folder), purpose, resume=False)
     with campaign.rows("verify", list(records.columns)) as journal:
         for values in zip(*(records[name] for name in records.columns), strict=True):
@@ -481,3 +483,102 @@ def test_a_circle_of_other_axes_is_not_certified_for_this_one(place: Path) -> No
     assert of_result(common(), {**circle_result(), "axes": ["X", "Y"]}).kind == "circle"
     with pytest.raises(InputError, match="driven with the axes Y, Z, and the axis file is of X"):
         of_result(common(), {**circle_result(), "axes": ["Y", "Z"]})
+
+
+def test_without_a_file_it_is_of_the_latest_verification_and_says_so(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not of one that was broken off, nor of another axis's in the same folder, and of none that is older than the tables."""
+
+    def sentence(*argv: str) -> str:
+        assert call(*argv, "--axis-file", "x.toml", "--dcc", "c.xml") == 0
+        return capsys.readouterr().out
+
+    assert call("--axis-file", "x.toml", "--dcc", "c.xml") == 2
+    assert "holds no finished verification of the axis" in capsys.readouterr().err
+    sizes = {1: 0.8, 2: 1.0, 9: 1.2, 10: 1.4}  # the tenth is later than the ninth
+    files = {n: in_campaign(rows(other_targets(), size), f"campaign/verify-{n:03d}") for n, size in sizes.items()}
+    in_campaign(rows(other_targets(), 4.0), "campaign/verify-011")
+    in_campaign(rows(other_targets(), 5.0), "campaign/verify-012", axis="Y")
+    for name in ("001", "002", "009", "010", "012"):
+        (Path("campaign") / f"verify-{name}" / "finished").touch()
+    named = sentence(files[10])
+    assert "latest" not in named
+    said = sentence()
+    assert "of the latest verification, " in said
+    assert said.splitlines()[-1] == named.splitlines()[-1]
+    assert "verify-010/verify.csv" in Path("c.xml").read_text()
+    old = sentence(files[1])
+    assert "of verify-001/verify.csv as named; the latest verification is verify-010/verify.csv" in old
+    assert old.splitlines()[-1] != named.splitlines()[-1]
+    assert call("--axis-file", "x.toml", "--out", "r.html", "--json", "r.json") == 0
+    assert json.loads(Path("r.json").read_text())["campaigns"][0]["source"] == "verify-010/verify.csv"
+
+    capsys.readouterr()
+    later = Path(in_campaign(rows(other_targets()), "campaign/calibrate-002", kind="calibrate"))
+    (later.parent / "finished").touch()
+    dated = re.sub(r"# begun \S+,", "# begun 2099-11-20T10:00:00+00:00,", later.read_text())
+    later.write_text(dated)
+    assert call("--axis-file", "x.toml", "--dcc", "c.xml") == 2
+    assert "is older than calibrate-002" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("drive", "rows_of", "says"),
+    [
+        ('backend = "bench"\nmachine = "typical"\nseed = 3', {}, True),
+        ('backend = "canopen"\nnode_id = 1\nsimulated = true', {}, True),  # as `hil sim drive` writes it
+        ('backend = "modbus"\nregister_map = "vendor_style"\nurl = "tcp://127.0.0.1:502"\nsimulated = true', {}, True),
+        ('backend = "canopen"\nnode_id = 1', {"drive": {"backend": "bench"}}, True),  # the rows say it themselves
+        ('backend = "canopen"\nnode_id = 1', {"drive": {"backend": "canopen", "simulated": True}}, True),
+        ('backend = "canopen"\nnode_id = 1', {"drive": {"backend": "canopen"}}, False),
+    ],
+)
+def test_a_simulated_machine_is_one_in_title_sentence_and_xml(
+    place: Path, capsys: pytest.CaptureFixture[str], drive: str, rows_of: dict[str, Any], says: bool
+) -> None:
+    text = Path("x.toml").read_text().replace('backend = "bench"\nmachine = "typical"\nseed = 3', drive)
+    assert drive in text
+    port = "" if "bench" in drive else '\nport = "/dev/ttyUSB0"'
+    Path("x.toml").write_text(text.replace('kind = "umd"', f'kind = "umd"{port}'))
+    measured = in_campaign(rows(other_targets()), "campaign/verify-001", **rows_of)
+    assert call(measured, "--axis-file", "x.toml", "--dcc", "c.xml") == 0
+    assert capsys.readouterr().out.splitlines()[-1].startswith("Of a simulated machine. ") == says
+    xml = ET.fromstring(Path("c.xml").read_bytes())
+    ns = {"d": dcc.DCC}
+    title = xml.findtext(".//d:measurementResult/d:name/d:content", "", ns)
+    assert title == ("SIMULATED MACHINE: " if says else "") + "Positioning of axis X"
+    assert (xml.find(".//d:statement[@refType='hil_simulated']", ns) is not None) == says
+
+
+def test_the_place_a_line_to_sign_and_what_the_standard_asks_for_beyond_stand_on_it(place: Path) -> None:
+    few = positioning(common(limit_um=20.0), NamedCampaign("verify", rows(other_targets(), runs=3)))
+    asked = "3 runs per direction; the standard asks for five on axes up to 2 m"
+    assert few.sentence.endswith(f"limit of 20.00 µm: pass ({asked}).")
+    shown = str(blocks(few, "aa"))
+    assert f"Tile(name='Verdict', value='pass', unit='', below='{asked}'" in shown
+    assert "'Place': 'customer: Example Works, Jena, DE'" in shown
+    assert "Signature of A. Builder" in shown
+    at_home = dataclasses.replace(few.config, place="laboratory")
+    assert "'Place': 'laboratory: Example Metrology, Braunschweig, DE" in str(
+        blocks(dataclasses.replace(few, config=at_home), "aa")
+    )
+    assert "standard asks" not in made().sentence
+
+
+@pytest.mark.parametrize(
+    ("option", "name", "kind"),
+    [
+        ("--certificate", "c.html", ".pdf"),
+        ("--dcc", "c.pdf", ".xml"),
+        ("--pdf", "r", ".pdf"),
+        ("--certificate", "c.xml", ".pdf"),
+    ],
+)
+def test_no_file_is_written_under_the_name_of_another_kind(
+    place: Path, capsys: pytest.CaptureFixture[str], option: str, name: str, kind: str
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        call("verify.csv", "--axis-file", "x.toml", "--out", "r.html", option, name)
+    assert f"argument {option}: is '{name}', expected a name ending in {kind}" in capsys.readouterr().err
+    assert not Path(name).exists()
