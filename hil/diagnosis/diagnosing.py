@@ -5,6 +5,7 @@ order.
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
+from hil.diagnosis.model import diagnosing as model_diagnosing
 from hil.diagnosis.campaign import AllRows, CampaignRows
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.noise.noise_fit import noise_with_speed
@@ -62,6 +64,8 @@ from hil.records.rows import UM_PER_MM, Records
 
 Floats = NDArray[np.float64]
 
+ENGINE = os.environ.get("HIL_DIAGNOSIS_ENGINE", "search")
+"""Which engine diagnoses: "search", or "model" while the two are compared."""
 SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
 
 
@@ -74,6 +78,8 @@ def diagnose(
     Raises InputError when the records are too few.
     """
     with threadpool_limits(1, "blas"):  # many small products, slower with threads
+        if ENGINE == "model":
+            return model_diagnosing.diagnose(records, declared, effects, seed)
         return _diagnose(records, declared, effects, seed)
 
 

@@ -1,0 +1,234 @@
+"""The candidates: every effect of a catalogue on its grids, as columns beside the table, each with its prior.
+
+The prior over a grid is even, so the evidence of an effect is its mean over the grid: Occam's factor, and no further rule.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.model.evidence import Candidate, Fit, Part
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.rows import Rows
+from hil.diagnosis.table import SplineShape
+from hil.effects import Effect, Estimate, Form, Term
+from hil.effects.backlash_position import BacklashPosition
+
+Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
+
+ROUGH = 300.0
+"""Variance of a table, over the white noise, that holds whatever a table can."""
+LEAST_BESIDE = 0.3
+"""Share of the norm of a function of position and direction that such a table must leave, for it to be told from the table."""
+
+
+class Table:
+    """What a rough table of these rows holds of further columns."""
+
+    def __init__(self, campaign: CampaignRows) -> None:
+        self._shape = SplineShape(campaign.basis)
+        columns = self._shape.columns(campaign.x, campaign.d)
+        self._columns = columns.stacked
+        ridge = np.full(self._columns.shape[1], 1.0 / ROUGH)
+        ridge[: columns.free.shape[1]] = 1e-9
+        self._solver = np.linalg.solve(self._columns.T @ self._columns + np.diag(ridge), self._columns.T)
+
+    def coefficients(self, columns: Floats) -> Floats:
+        """Of the spline's columns (`SplineShape.columns`), (w, k)."""
+        return np.asarray(self._solver @ columns)
+
+    def at(self, x_mm: Floats, direction: Floats) -> Floats:
+        """The spline's columns at other places, (m, w)."""
+        return self._shape.columns(x_mm, direction).stacked
+
+    def held(self, columns: Floats) -> Floats:
+        """Its values, (n, k)."""
+        return np.asarray(self._columns @ self.coefficients(columns))
+
+
+class WithMean(BacklashPosition):
+    """Backlash that varies along the axis about a mean of its own, the last coefficient: a declared table lacks both together."""
+
+    def basis(self, form: Form, theta: Sequence[float], columns: Mapping[str, Floats]) -> Floats:
+        return np.column_stack([super().basis(form, theta, columns), columns["direction"]])
+
+    def parameters(self, term: Term) -> dict[str, Estimate]:
+        own = tuple(row[:-1] for row in term.covariance[:-1])
+        return super().parameters(replace(term, coefficients=term.coefficients[:-1], covariance=own, likely=()))
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A form of an effect at its grid points: columns (n, G·k) in single precision."""
+
+    effect: Effect
+    form: Form
+    thetas: tuple[tuple[float, ...], ...]
+    columns: Singles
+
+    @property
+    def k(self) -> int:
+        return self.columns.shape[1] // len(self.thetas)
+
+
+@dataclass(frozen=True)
+class Ranked:
+    """A candidate at its best grid point: log evidence that it adds over the best fit, priors included, and the fit beside it."""
+
+    gain: float
+    part: Part
+    fit: Fit
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Effect and first column: forms of both equal are one explanation."""
+        return self.part.name, self.part.names[0] if self.part.names else ""
+
+
+class Catalogue:
+    """All effects on their grids for one campaign."""
+
+    def __init__(self, rows: Rows, effects: Sequence[Effect]) -> None:
+        self.rows, self.campaign = rows, rows.campaign
+        self.grids: list[Grid] = []
+        self.refining: dict[str, list[Form]] = {}
+        self.wandering: list[Candidate] = []
+        self.beside: dict[str, float] = {}
+        for effect in effects:
+            for form in effect.forms(self.campaign.survey):
+                if form.shrunk:
+                    self.wandering.append(Candidate(effect, form, ()))
+                elif not form.scan:
+                    self.refining.setdefault(effect.id, []).append(form)
+                else:
+                    self._add(effect, form)
+
+    @cached_property
+    def table(self) -> Table:
+        return Table(self.campaign)
+
+    def _add(self, effect: Effect, form: Form) -> None:
+        columns = effect.bases(form, form.starts, self.campaign.columns)
+        groups = columns.reshape(len(columns), len(form.starts), -1)
+        left = columns - self.table.held(columns)
+        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
+        best = np.max(share.reshape(groups.shape[1:]), axis=1)
+        self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
+        kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > LEAST_BESIDE
+        if not np.any(kept):
+            return
+        scanned = left.reshape(groups.shape) if self.rows.is_declared and not effect.static else groups
+        chosen = scanned[:, kept].reshape(len(columns), -1).astype(np.float32)
+        thetas = tuple(tuple(theta) for theta, one in zip(form.starts, kept, strict=True) if one)
+        self.grids.append(Grid(effect, form, thetas, chosen))
+
+    def part(self, candidate: Candidate, log_prior: float) -> Part:
+        """A candidate as a part of the model."""
+        effect, form = candidate.effect, candidate.form
+        columns = effect.basis(form, candidate.theta, self.campaign.columns)
+        none = columns[:, :0]
+        if form.shrunk:
+            return Part(effect.id, form.inputs, none, columns * math.sqrt(candidate.ratio), none, log_prior, candidate)
+        held = none
+        if self.rows.is_declared and not effect.static:  # the table was measured with some of it
+            held = self.table.held(columns)
+        return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
+
+    def ranked(self, fits: Sequence[Fit]) -> list[Ranked]:
+        """Each form by each column at its best beside fits of the same parts, the best first."""
+        top = max(fit.log_p for fit in fits)
+        found = [self._best(grid, fits, top) for grid in self.grids]
+        for one in self.wandering:
+            columns = one.effect.basis(one.form, (), self.campaign.columns)
+            prior = one.effect.log_odds + one.form.log_odds
+            gains = [(fit.log_p - top + fit.random_gain(columns)[0], fit) for fit in fits]
+            gain, fit = max(gains, key=lambda pair: pair[0])
+            part = self.part(replace(one, ratio=fit.random_gain(columns)[1]), prior)
+            found.append(Ranked(gain + prior, part, fit))
+        return sorted(found, key=lambda one: -one.gain)
+
+    def _best(self, grid: Grid, fits: Sequence[Fit], top: float) -> Ranked:
+        found: list[Ranked] = []
+        for fit in fits:
+            gains = fit.gains(grid.columns, grid.k)
+            at = int(np.argmax(gains))
+            occam = float(logsumexp(gains) - gains[at]) - math.log(len(gains))
+            prior = occam + prior_of(grid.effect, grid.form)
+            part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at]), prior)
+            found.append(Ranked(fit.log_p - top + float(gains[at]) + prior, part, fit))
+        return max(found, key=lambda one: one.gain)
+
+    def refined(self, part: Part, fit: Fit) -> Part:
+        """The part with its non-linear parameters where the evidence is highest."""
+        one = part.of
+        if one is None or not one.theta or one.form.exhaustive:
+            return part
+        logs = np.array([p.logarithmic for p in one.form.nonlinear])
+        lower, upper = (np.array([getattr(p, end) for p in one.form.nonlinear]) for end in ("lower", "upper"))
+        start = np.where(logs, np.log(np.maximum(one.theta, 1e-12)), one.theta)
+
+        def at(z: Floats) -> Candidate:
+            theta = np.clip(np.where(logs, np.exp(np.minimum(z, 50.0)), z), lower, upper)
+            return replace(one, theta=tuple(float(value) for value in theta))
+
+        def cost(z: Floats) -> float:
+            trial = at(z)
+            prior = sum(p.log_prior(value) for p, value in zip(one.form.nonlinear, trial.theta, strict=True))
+            return -fit.gain(self._columns(trial)) - prior
+
+        simplex = np.vstack([start, start + np.diag(_steps(one, self.campaign, logs))])
+        options = {"initial_simplex": simplex, "maxfev": 22 * len(start), "fatol": 0.05, "xatol": 1e-4}
+        found = minimize(cost, start, method="Nelder-Mead", options=options)
+        return self.part(at(found.x), part.log_prior) if found.fun <= cost(start) else part
+
+    def _columns(self, one: Candidate) -> Floats:
+        columns = one.effect.basis(one.form, one.theta, self.campaign.columns)
+        return columns - self.table.held(columns) if self.rows.is_declared and not one.effect.static else columns
+
+    def richer(self, part: Part, fit: Fit) -> Iterator[Part]:
+        """The same effect by the same column in its richer forms, each at its best."""
+        one = part.of
+        if one is None or one.form.shrunk:
+            return
+        for form in self.refining.get(part.name, ()):
+            if one.form.inputs[:1] != form.inputs[:1]:
+                continue
+            thetas = [one.theta] if len(form.nonlinear) == len(one.theta) else list(form.starts)
+            trials = [Candidate(one.effect, form, tuple(theta)) for theta in thetas]
+            best = max(trials, key=lambda trial: fit.gain(self._columns(trial))) if len(trials) > 1 else trials[0]
+            prior = part.log_prior - prior_of(one.effect, one.form) + prior_of(one.effect, form)
+            yield self.refined(self.part(best, prior), fit)
+
+
+def prior_of(effect: Effect, form: Form) -> float:
+    """Log prior odds of a form; those of forms with parameters are paid by their grid."""
+    own = 0.0 if form.nonlinear else form.log_odds
+    return effect.log_odds + own - (0.0 if form.scan else USUAL.richer)
+
+
+def _steps(one: Candidate, campaign: CampaignRows, logs: NDArray[np.bool_]) -> Floats:
+    """First steps of a search of the parameters: of a period what shifts the far end of the travel by a seventh of it."""
+    form = one.form
+    if one.effect.id == "cyclic":
+        return np.array([one.theta[0] / (2.0 * campaign.survey.half_span_mm) * 0.15])
+    if len(logs) == 2 and logs[1] and not logs[0]:  # a zone moves by a share of its width
+        return np.array([0.3 * one.theta[1], 0.3])
+    spans = np.array([p.upper - p.lower for p in form.nonlinear])
+    return np.where(logs, 0.3, 0.1 * spans)
+
+
+def effects_beside(rows: Rows, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+    """The effects that can be found: those that are a table only beside a declared one, where backlash along the axis has its mean."""
+    if not rows.is_declared:
+        return tuple(effect for effect in effects if not effect.is_table)
+    return tuple(WithMean() if effect.id == BacklashPosition.id else effect for effect in effects)

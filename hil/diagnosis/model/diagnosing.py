@@ -1,0 +1,236 @@
+"""From records to a diagnosis: rows, search, verdict, what is put into force."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import AllRows, CampaignRows
+from hil.diagnosis.model.candidates import Catalogue, effects_beside
+from hil.diagnosis.model.evidence import Fit, Noise, score
+from hil.diagnosis.model.force import Folds, Force, compensated, improves
+from hil.diagnosis.model.intervals import terms_of
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.remainder import Remainder
+from hil.diagnosis.model.rows import Given, Rows, row_scale
+from hil.diagnosis.model.search import Found, Search
+from hil.diagnosis.model.unlogged import share_of
+from hil.diagnosis.model.verdict import Verdict
+from hil.diagnosis.noise.repeats import pure_error
+from hil.diagnosis.result import Blind, Diagnosis, Figures, Finding, NoiseParts
+from hil.diagnosis.stored import can_be_held_out
+from hil.effects import Effect, Term
+from hil.effects.history import stand_ins
+from hil.effects.model import Model
+from hil.effects.warming import as_far_as_seen, follows_a_temperature, is_bounded
+from hil.records.rows import UM_PER_MM, Records
+
+Floats = NDArray[np.float64]
+
+SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
+LEAST_DOF = 4
+BLIND = 0.01
+"""Share of an effect left beside the table below which the campaign cannot show it."""
+SURE = 0.9
+"""Posterior of an effect by its column from which its correction goes beyond what was seen."""
+
+
+def diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
+    """As `hil.diagnosis.diagnosing.diagnose`."""
+    started = time.perf_counter()
+    return replace(Case(records, declared, effects, seed).diagnosis(), seconds=time.perf_counter() - started)
+
+
+def rows_of(campaign: CampaignRows, declared: Model | None) -> Rows:
+    """The rows beside a table of their own, or beside a declared model, whose uncertainty counts against the noise of these rows."""
+    if declared is None:
+        return Rows(campaign)
+    known = declared.with_terms([as_far_as_seen(t, campaign.columns) if is_bounded(t) else t for t in declared.terms])
+    error = campaign.error_um - sum((t.error_um(campaign.columns) for t in known.terms), np.zeros(len(campaign)))
+    own = Rows(replace(campaign, error_um=error))
+    return Rows(campaign, Given.of(known, Fit(own, (), score(own, ())[0].noise).sigma))
+
+
+def searched(rows: Rows, effects: Sequence[Effect]) -> tuple[Search, Found]:
+    """The parts: effects first, then with the noise of each row as they leave it, remainders too."""
+    catalogue = Catalogue(rows, effects_beside(rows, effects))
+    first = Search(rows, catalogue, None).run()
+    weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
+    if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
+        weighted = rows
+    search = Search(weighted, catalogue, Remainder(rows.campaign))
+    return search, search.run(first.parts)
+
+
+@dataclass(frozen=True)
+class InForce:
+    """What is corrected, its left-out residuals, and notes."""
+
+    force: Force
+    after_um: Floats
+    notes: tuple[str, ...] = ()
+
+
+class Case:
+    """One diagnosis, step by step."""
+
+    def __init__(self, records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> None:
+        self.records, self.declared, self.effects = records, declared, effects
+        self.rows = AllRows.of(records, seed)
+        self.campaign = self.rows.searched
+        self.model_rows = rows_of(self.campaign, declared)
+        self.folds = Folds.of(self.rows, self.campaign.run)
+        self.search, self.found = searched(self.model_rows, effects)
+        recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
+        self.verdict = Verdict(self.search, self.found, recorded)
+
+    @cached_property
+    def findings(self) -> tuple[Finding, ...]:
+        return self.verdict.findings()
+
+    @cached_property
+    def null(self) -> Force:
+        """The table, or the declared model, alone."""
+        return Force(self.search.fit(()), {})
+
+    @cached_property
+    def before_um(self) -> Floats:
+        """What the declared model leaves; without one, the table of the other runs."""
+        if self.declared is not None:
+            return self.rows.error_um - self.declared.error_um(self.rows.columns)
+        return self.null.left_out_um(self.rows, self.folds)
+
+    @cached_property
+    def in_force(self) -> InForce:
+        live = self._bounded(compensated(self.found.parts, self.verdict.terms))
+        if not self.found.parts:
+            return self._suspected()
+        force = Force(self.found.fit, live)
+        after = force.left_out_um(self.rows, self.folds)
+        notes = []
+        for name in dict.fromkeys(term.effect.id for term in live.values()):
+            fewer = replace(force, live={key: term for key, term in force.live.items() if term.effect.id != name})
+            parts = [part for part in self.found.parts if part.name != name]
+            without = Force(self.search.fit(parts), fewer.live).left_out_um(self.rows, self.folds)
+            if not improves(without, after, self.folds.of_all):
+                notes.append(f"{name} is not corrected: runs left out are no better with it than without")
+                force, after = fewer, fewer.left_out_um(self.rows, self.folds)
+        return InForce(force, after, tuple(notes))
+
+    def _bounded(self, live: Mapping[int, Term]) -> dict[int, Term]:
+        """The terms, of which those by a temperature that is not sure go no further than it went on these rows."""
+        sure = {f.effect: min(f.confidence, f.follows[0][1] if f.follows else 1.0) for f in self.findings}
+        return {
+            key: as_far_as_seen(term, self.rows.columns)
+            if follows_a_temperature(term.form) and sure.get(term.effect.id, 0.0) < SURE
+            else term
+            for key, term in live.items()
+        }
+
+    def _suspected(self) -> InForce:
+        """Where nothing was found: the likeliest effect of the machine that is likelier than none and helps runs left out, as small as its
+        posterior makes it.
+        """
+        nothing = InForce(self.null, self.null.left_out_um(self.rows, self.folds))
+        none = self.search.scored(())[0].log_p
+        for one in self.search.alternatives(()):
+            if one.log_p <= none:
+                break
+            if one.part.of is None or one.part.of.effect.static or one.part.of.effect.once:
+                continue
+            fit = Fit(self.search.rows, [one.part], one.noise)
+            live = self._bounded(compensated([one.part], terms_of(fit)))
+            if not live:
+                continue
+            share = share_of({"": none, one.part.name: one.log_p})[one.part.name]
+            small = {key: _times(term, share) for key, term in live.items()}
+            force = Force(fit, small)
+            after = force.left_out_um(self.rows, self.folds)
+            if not improves(nothing.after_um, after, self.folds.of_all):
+                return nothing
+            (term,) = small.values()
+            note = (
+                f"{one.part.name} is suspected (posterior {share:.2f}): noise may make as much, so it is no finding; the extended model"
+                f" holds that share of it. {term.effect.explain(term)}"
+            )
+            return InForce(force, after, (note,))
+        return nothing
+
+    def diagnosis(self) -> Diagnosis:
+        force = self.in_force
+        carriers = self.verdict.carriers
+        whole = Force(self.found.fit, self.verdict.terms)
+        everything = whole.model()
+        fit = self.found.fit
+        clean = self.rows.error_um - sum((t.error_um(self.rows.columns) for t in self.verdict.terms.values()), 0.0)
+        after, alone = Figures.of(force.after_um), Figures.of(self.rows.error_um)
+        base = self.declared if self.declared is not None else self.null.model()
+        extended = force.force.model() if force.force.fit.parts or self.declared is not None else base
+        return Diagnosis(
+            pure_error=pure_error(self.rows.columns, clean),
+            noise=_noise_parts(fit.sigma, fit.noise),
+            declared=base,
+            extended=extended,
+            findings=self.findings,
+            unexplained=bool(carriers),
+            carriers=carriers,
+            blind=tuple(self._blind()),
+            before_um=self.before_um,
+            after_um=force.after_um,
+            setup_um=whole.left_out_um(self.rows, self.folds),
+            residual_um=self.rows.error_um - everything.error_um(self.rows.columns),
+            held_out=self.folds.how,
+            recommended=after.rms_um < alone.rms_um,
+            notes=(*self._notes(after, alone), *force.notes),
+        )
+
+    def _blind(self) -> Iterator[Blind]:
+        beside = self.search.catalogue.beside
+        for effect in self.effects:
+            share = 0.0 if effect.is_table and not self.search.rows.is_declared else beside.get(effect.id, 1.0)
+            if share < BLIND and not (self.search.rows.is_declared and effect.static):
+                yield Blind(effect.id, f"only {100 * share:.2g} % of it is left beside the table")
+
+    def _notes(self, after: Figures, alone: Figures) -> Iterator[str]:
+        records, rows = self.records, self.rows
+        yield from (f"{name} is missing: made up from the row order" for name in stand_ins(records.columns))
+        for name, values in records.columns.items():
+            absent = int(np.sum(~np.isfinite(values)))
+            if 0 < absent < len(records):
+                yield f"{name} is missing in {absent} of {len(records)} rows: the column is not used"
+        if "time_s" in records.columns and (back := int(np.sum(np.diff(records["time_s"]) < 0.0))):
+            often = "once" if back == 1 else f"{back} times"
+            yield f"time_s goes back {often}: what depends on the time cannot be trusted; give each row the time since the first"
+        if rows.step_mm is not None:
+            step_um = rows.step_mm * UM_PER_MM
+            yield f"the readings move in steps of {step_um:g} µm, coarser than their noise: below half a step nothing is found"
+        if len(rows.kept) < len(records):
+            yield f"searched and fitted on {len(rows.kept)} of {len(records)} rows, drawn evenly; the held-out figures are on all"
+        if self.found.fit.dof < LEAST_DOF:
+            yield SATURATED
+        if not can_be_held_out(self.folds.how):
+            yield "one run only: a second one has to show whether the correction holds"
+        elif after.rms_um >= alone.rms_um:
+            yield (
+                f"not recommended: on rows that were not fitted the correction leaves {after.rms_um:.3g} µm RMS,"
+                f" and no correction at all {alone.rms_um:.3g} µm"
+            )
+
+
+def _times(term: Term, share: float) -> Term:
+    """A term with coefficients of this share."""
+    return replace(term, coefficients=tuple(share * value for value in term.coefficients), likely=())
+
+
+def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
+    memory = noise.memory
+    rows = -1.0 / math.log(memory.rho) if 0.0 < memory.rho < 1.0 and memory.ar else 0.0
+    offset = math.exp(float(noise.log_sd[2]))
+    return NoiseParts(white_um, white_um * memory.ar, rows, white_um * offset)
+

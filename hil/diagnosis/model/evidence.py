@@ -1,0 +1,350 @@
+"""The evidence: the probability of the errors under parts and a noise model, by one Cholesky factor, with its gradient.
+
+With the rows over their noise, A = [Z R | X] (random columns with ridge 1/variance, fixed ones without), C the columns of the effects
+and L the Cholesky factor of the bordered Gram matrix [A C y]'[A C y] + ridge:
+
+    rss₁ = L²yy,  rss₀ = rss₁ + Σ L²y,C,  left = rss₁ / rss₀,  ν = n - columns of X,  g = max(n, 10 / left)
+    log p = -½ (log|A'A + ridge| - Σ log ridge + log|V| + ν log rss₀)
+            + ½ (ν - k) log(1 + g) - ½ ν log(1 + g left) + log prior(noise) + Σ log prior(part)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
+from scipy.optimize import minimize
+
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.rows import MEMORIES, NO_MEMORY, OFFSET, Memory, Rows, side_by_side
+from hil.effects import Effect, Form
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+LOWEST = np.array([-7.0, -7.0, -5.0])
+HIGHEST = np.array([7.0, 7.0, math.log(0.8)])
+"""Bounds of the log standard deviations of the table's two parts and of the runs' offsets, over the white noise."""
+START = np.array([1.0, 0.0, -1.5])
+LONG_MEMORY = 0.85
+"""Correlation from row to row beyond which memory is an offset for most of a run, and has the prior of one."""
+LEAST_LEFT = 1e-4
+"""Share of a column's squares that must be left beside everything else for it to count, in single precision."""
+RATIOS = 10.0 ** np.arange(-3.0, 2.1, 0.5)
+"""Variances of a random part that are tried."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Memory, and log standard deviations of the table's parts and of the runs' offsets over the white noise, (3,)."""
+
+    memory: Memory
+    log_sd: Floats
+
+    @property
+    def log_prior(self) -> float:
+        scale = USUAL.memory if self.memory.rho <= LONG_MEMORY else USUAL.offset
+        offset = math.exp(float(self.log_sd[OFFSET])) / USUAL.offset
+        return -0.5 * (self.memory.ar / scale) ** 2 - 0.5 * offset**2
+
+    def smoother(self) -> Noise:
+        """The same with a table of a fifth of its roughness."""
+        return replace(self, log_sd=np.maximum(self.log_sd - np.array([1.6, 1.6, 0.0]), LOWEST))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An effect in one form with its non-linear parameters; ratio: variance of its coefficients over the noise's, of a shrunk form."""
+
+    effect: Effect
+    form: Form
+    theta: tuple[float, ...]
+    ratio: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """A part of the model: an effect, or a remainder (`of` is None).
+
+    names: columns that it follows; fixed (n, f): flat prior; free (n, k): g-prior; random (n, r): variance 1
+    """
+
+    name: str
+    names: tuple[str, ...]
+    free: Floats
+    random: Floats
+    fixed: Floats
+    log_prior: float = 0.0
+    of: Candidate | None = None
+    kind: str = field(default="", compare=False)
+
+    @property
+    def is_remainder(self) -> bool:
+        return self.of is None
+
+
+def log_bayes(left: Floats, dof: float, k: int, n: int) -> Floats:
+    """Log Bayes factor of k columns with a g-prior that leave these shares of the squares."""
+    left = np.clip(left, 1e-12, 1.0)
+    g = np.maximum(n, 10.0 / left)
+    return np.asarray(0.5 * (dof - k) * np.log1p(g) - 0.5 * dof * np.log1p(g * left))
+
+
+def _log_bayes_slope(left: float, dof: float, k: int, n: int) -> float:
+    """Its derivative to the share left."""
+    left = min(max(left, 1e-12), 1.0)
+    g = max(float(n), 10.0 / left)
+    if g > n:  # g left = 10 is constant
+        return -0.5 * (dof - k) * 10.0 / left**2 / (1.0 + g)
+    return -0.5 * dof * g / (1.0 + g * left)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What the parts bring: random R, fixed, and free C, side by side, with their counts."""
+
+    all: Floats
+    r: int
+    f: int
+    k: int
+
+    @classmethod
+    def of(cls, parts: Sequence[Part], n: int) -> Columns:
+        groups = [side_by_side([getattr(p, kind) for p in parts], n) for kind in ("random", "fixed", "free")]
+        return cls(np.hstack(groups), *(group.shape[1] for group in groups))
+
+
+class Profile:
+    """The evidence under one memory as a function of the log standard deviations, for given columns of parts."""
+
+    def __init__(self, rows: Rows, columns: Columns, memory: Memory) -> None:
+        self.rows, self.memory = rows, memory
+        white = rows.whitened(memory)
+        extra = rows.white(columns.all, memory)
+        q, x = rows.random.shape[1], rows.fixed.shape[1]
+        self.r, self.k = columns.r, columns.k
+        m = q + x + columns.all.shape[1]
+        base = np.concatenate([np.arange(q), q + self.r + np.arange(x)])
+        own = np.concatenate([q + np.arange(self.r), q + self.r + x + np.arange(columns.f + self.k)])
+        gram = np.zeros((m + 1, m + 1))
+        gram[np.ix_(base, base)] = white.gram
+        gram[np.ix_(own, base)] = extra.T @ white.base
+        gram[np.ix_(base, own)] = gram[np.ix_(own, base)].T
+        gram[np.ix_(own, own)] = extra.T @ extra
+        gram[-1, base] = gram[base, -1] = white.cross
+        gram[-1, own] = gram[own, -1] = extra.T @ white.y
+        gram[-1, -1] = white.yy
+        gram[np.arange(m), np.arange(m)] *= 1.0 + 1e-10
+        self._gram, self._random, self.p = gram, q + self.r, m - self.k
+        self.dof = rows.n - x - columns.f
+        self._log_noise = white.log_noise
+
+    def ridge(self, log_sd: Floats) -> Floats:
+        """Inverse variances of the random columns."""
+        own = np.exp(-2.0 * np.append(log_sd, [0.0, 0.0])[self.rows.group])
+        return np.concatenate([own, np.ones(self.r)])
+
+    def value(self, log_sd: Floats) -> tuple[float, Floats]:
+        """Log evidence without the priors of the parts, and its gradient, (3,)."""
+        ridge, p, k = self.ridge(log_sd), self.p, self.k
+        gram = self._gram.copy()
+        at = np.arange(self._random)
+        gram[at, at] += ridge
+        try:
+            lower = np.linalg.cholesky(gram)
+        except np.linalg.LinAlgError:
+            return -1e9, np.zeros(3)
+        diagonal, last = np.diag(lower), lower[-1, :-1]
+        rss = float(diagonal[-1]) ** 2
+        rss_0 = rss + float(last[p:] @ last[p:])
+        inverse = dtrtri(lower[:-1, :-1], lower=1)[0]
+        in_a = inverse[:p, : self._random]
+        b_0 = last[:p] @ in_a
+        noise = Noise(self.memory, log_sd)
+        logs = 2.0 * float(np.sum(np.log(diagonal[:p]))) - float(np.sum(np.log(ridge)))
+        value = -0.5 * (logs + self._log_noise + self.dof * math.log(rss_0)) + noise.log_prior
+        slope = ridge * (np.einsum("ij,ij->j", in_a, in_a) + self.dof * b_0**2 / rss_0) - 1.0
+        if k:
+            left = rss / rss_0
+            value += float(log_bayes(np.array(left), self.dof, k, self.rows.n))
+            b = last @ inverse[:, : self._random]
+            d_left = -2.0 * ridge * (b**2 - left * b_0**2) / rss_0
+            slope = slope + _log_bayes_slope(left, self.dof, k, self.rows.n) * d_left
+        gradient = np.zeros(3)
+        own = slope[: len(self.rows.group)]
+        for group in range(3):
+            gradient[group] = np.sum(own[self.rows.group == group])
+        gradient[OFFSET] -= (math.exp(float(log_sd[OFFSET])) / USUAL.offset) ** 2
+        return value, gradient
+
+    def best(self, start: Floats, steps: int = 12) -> tuple[float, Floats]:
+        """Highest evidence from a start, with the log standard deviations there."""
+        bounds = list(zip(LOWEST.tolist(), HIGHEST.tolist(), strict=True))
+        found = minimize(
+            lambda v: tuple(-one for one in self.value(v)),
+            np.clip(start, LOWEST, HIGHEST),
+            jac=True,
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": steps, "ftol": 1e-5},
+        )
+        return -float(found.fun), np.asarray(found.x)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """Log evidence, priors of the parts included, and the noise model at which it is highest."""
+
+    log_p: float
+    noise: Noise
+
+
+def _prior(parts: Sequence[Part]) -> float:
+    return sum(part.log_prior for part in parts)
+
+
+def score(rows: Rows, parts: Sequence[Part], near: Noise | None = None) -> list[Scored]:
+    """The parts under noise models, the likeliest first; near: only its memory and none, from its standard deviations."""
+    columns = Columns.of(parts, rows.n)
+    memories = MEMORIES if near is None else tuple(dict.fromkeys((near.memory, NO_MEMORY)))
+    start = START if near is None else near.log_sd
+    found = []
+    for memory in memories:
+        value, start = Profile(rows, columns, memory).best(start, 12 if near is None else 6)
+        found.append(Scored(value + _prior(parts), Noise(memory, start)))
+    return sorted(found, key=lambda one: -one.log_p)
+
+
+class Fit:
+    """Parts under one noise model: coefficients, residual, and what further columns would gain."""
+
+    def __init__(self, rows: Rows, parts: Sequence[Part], noise: Noise) -> None:
+        self.rows, self.parts, self.noise = rows, tuple(parts), noise
+        columns = Columns.of(parts, rows.n)
+        profile = Profile(rows, columns, noise.memory)
+        self.log_p = profile.value(noise.log_sd)[0] + _prior(parts)
+        q, x, r = rows.random.shape[1], rows.fixed.shape[1], columns.r
+        order = np.concatenate([np.arange(q), q + x + np.arange(r), q + np.arange(x), q + x + np.arange(r, columns.all.shape[1])])
+        self.design = np.hstack([rows.random, rows.fixed, columns.all])[:, order]
+        self._r, self._x, self._q = r, x, q
+        white = rows.whitened(noise.memory)
+        own = rows.white(columns.all, noise.memory)
+        self.white = np.hstack([white.base, own])[:, order]
+        self.y = white.y
+        self.ridge = np.concatenate([profile.ridge(noise.log_sd), np.zeros(self.white.shape[1] - q - r)])
+        gram = self.white.T @ self.white
+        gram[np.diag_indices(len(gram))] += self.ridge
+        gram[np.diag_indices(len(gram))] *= 1.0 + 1e-10
+        self.inverse = dtrtri(np.linalg.cholesky(gram), lower=1)[0]
+        self._onto = self.inverse @ self.white.T
+        self.beta = np.asarray(self.inverse.T @ (self._onto @ self.y))
+        self._rest = self.y - self._onto.T @ (self._onto @ self.y)
+        self.rss = float(self.y @ self._rest)
+        self.dof = max(rows.n - x - columns.f - columns.k, 1)
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the white noise, µm."""
+        return math.sqrt(max(self.rss, 1e-300) / self.dof)
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Of all coefficients, µm²."""
+        return np.asarray(self.inverse.T @ self.inverse * self.sigma**2)
+
+    @property
+    def residual(self) -> Floats:
+        """Of each row over its scale, the memory of the noise left in, µm, (n,)."""
+        return np.asarray((self.rows.y - self.design @ self.beta) / self.rows.scale)
+
+    def of_table(self) -> Ints:
+        """Where the coefficients of the table's columns are, in the order of `ShapeColumns.stacked`."""
+        free = np.arange(self._q + self._r, self._q + self._r + self._x)
+        return np.concatenate([free, self.rows.of_table]).astype(np.int64)
+
+    def held(self, course_um: Floats) -> Floats:
+        """Coefficients of the table's columns that hold what a table as smooth as this one can of a course of the rows, (n,)."""
+        white, q = self.rows.whitened(self.noise.memory), self._q
+        ridge = np.concatenate([self.ridge[:q], np.full(self._x, 1e-9)])
+        right = white.base.T @ self.rows.white(course_um, self.noise.memory)
+        solved = np.linalg.solve(white.gram + np.diag(ridge), right)
+        return np.concatenate([solved[q:], solved[self.rows.of_table]])
+
+    def where(self, part: Part, kind: str) -> slice:
+        """Coefficients of one part's columns of a kind ('random', 'fixed', 'free')."""
+        first = {"random": self._q, "fixed": self._q + self._r + self._x}.get(kind, 0)
+        if kind == "free":
+            first = self._q + self._r + self._x + sum(one.fixed.shape[1] for one in self.parts)
+        for one in self.parts:
+            if one is part:
+                break
+            first += getattr(one, kind).shape[1]
+        return slice(first, first + getattr(part, kind).shape[1])
+
+    def course_um(self, part: Part) -> Floats:
+        """What a part contributes to each row, µm, (n,)."""
+        return np.asarray(part.random @ self.beta[self.where(part, "random")] + part.free @ self.beta[self.where(part, "free")])
+
+    def normal(self, columns: Floats) -> tuple[Floats, Floats]:
+        """Normal equations of further columns (n, k) beside the fit: matrix (k, k), right side (k,)."""
+        white = self.rows.white(columns, self.noise.memory)
+        onto = self._onto @ white
+        return white.T @ white - onto.T @ onto, white.T @ self._rest
+
+    def gain(self, columns: Floats) -> float:
+        """Log evidence that further columns with a g-prior would add."""
+        a, b = self.normal(columns)
+        size = 1.0 / np.sqrt(np.maximum(np.diag(a), 1e-300))
+        a, b = a * np.outer(size, size) + 1e-9 * np.eye(len(a)), b * size
+        left = 1.0 - float(b @ np.linalg.solve(a, b)) / self.rss
+        return float(log_bayes(np.array(left), self.dof, len(b), self.rows.n))
+
+    def gains(self, columns: NDArray[np.float32], k: int) -> Floats:
+        """The same of groups of k columns side by side, (n, G·k): (G,); in single precision."""
+        white = self.rows.white(columns, self.noise.memory)
+        onto = self._single @ white
+        b = (self._rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
+        full = np.einsum("ij,ij->j", white, white).reshape(-1, k).astype(float)
+        if k == 1:
+            left = full[:, 0] - np.einsum("ij,ij->j", onto, onto)
+            t = np.where(left > LEAST_LEFT * full[:, 0], b[:, 0] ** 2 / np.maximum(left, 1e-30), 0.0)
+        else:
+            w, h = (m.reshape(len(m), -1, k).transpose(1, 2, 0) for m in (white, onto))
+            a = (w @ w.transpose(0, 2, 1)).astype(float) - h @ h.transpose(0, 2, 1)
+            a = a + np.eye(k) * (LEAST_LEFT * full.max(axis=1)[:, None, None] + 1e-20)
+            t = np.einsum("gi,gi->g", b, np.linalg.solve(a, b[:, :, None])[:, :, 0])
+        return log_bayes(1.0 - t / self.rss, self.dof, k, self.rows.n)
+
+    @cached_property
+    def _single(self) -> NDArray[np.float32]:
+        return np.asarray(self._onto, dtype=np.float32)
+
+    def random_gain(self, columns: Floats) -> tuple[float, float]:
+        """Log evidence that random columns would add at the best of their variances, and that variance."""
+        a, b = self.normal(columns)
+        gain, ratio = self._of_random(a[None], b[None])
+        return float(gain[0]), float(ratio[0])
+
+    def random_gains(self, columns: NDArray[np.float32], k: int) -> Floats:
+        """The gains of groups of k random columns side by side, (n, G·k): (G,); in single precision."""
+        white = self.rows.white(columns, self.noise.memory)
+        onto = self._single @ white
+        b = (self._rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
+        w, h = (m.reshape(len(m), -1, k).transpose(1, 2, 0) for m in (white, onto))
+        return self._of_random((w @ w.transpose(0, 2, 1) - h @ h.transpose(0, 2, 1)).astype(float), b)[0]
+
+    def _of_random(self, a: Floats, b: Floats) -> tuple[Floats, Floats]:
+        """Gain and variance of G random blocks from their normal equations, (G, k, k) and (G, k)."""
+        size, axes = np.linalg.eigh(a)
+        size = size.clip(0.0)[:, None, :]
+        b2 = np.einsum("gij,gi->gj", axes, b)[:, None, :] ** 2
+        ratio = RATIOS[None, :, None]
+        left = 1.0 - np.sum(ratio * b2 / (1.0 + ratio * size), axis=2) / self.rss
+        gain = -0.5 * np.sum(np.log1p(ratio * size), axis=2) - 0.5 * self.dof * np.log(np.maximum(left, 1e-12))
+        best = np.argmax(gain, axis=1)
+        return np.max(gain, axis=1), RATIOS[best]

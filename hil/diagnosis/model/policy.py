@@ -1,0 +1,35 @@
+"""The numbers that decide what is said. How finely is looked (grids) stays with the code that looks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Log odds are natural logarithms.
+
+    named: log odds, over the whole catalogue and its grids, from which a part is there (150 to 1)
+    richer: prior log odds against a richer form, a further term of an effect that is there, and physics out of its range
+    temperature: divisor of log odds before they become a confidence, since no form is exactly right
+    unlogged: prior log odds against a cause through a column that was not recorded
+    form: share of an effect's RMS below which a remainder in its own columns is the error of its form
+    memory, offset: scales of the half-normal priors on noise with memory and on the offset of a run, in white noise
+    pseudo_rows: rows of average noise that each group of rows has before its own scale is taken
+    tail: degrees of freedom of Student's t where the tails are heavy
+    few: share of the rows on which no effect may rest alone
+    """
+
+    named: float = 5.0
+    richer: float = 3.0
+    temperature: float = 2.0
+    unlogged: float = 1.0
+    form: float = 0.35
+    memory: float = 0.5
+    offset: float = 0.35
+    pseudo_rows: float = 10.0
+    tail: float = 5.0
+    few: float = 0.01
+
+
+USUAL = Policy()

@@ -1,0 +1,214 @@
+"""The rows of a campaign as the model has them: errors, columns of the table and of the runs' offsets, noise by row, and whitening."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dtrtri
+from scipy.stats import t as student
+
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
+from hil.effects import Term
+from hil.effects.model import Model
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Real = TypeVar("Real", np.float32, np.float64)
+
+LONGEST = 400
+"""Rows of a run over which its memory is followed; of longer runs each such stretch has its own."""
+SLOWEST_SCALE = 4.0
+"""Multiples of the usual residual at which one row counts for the scale of its group."""
+EVEN, ODD, OFFSET, GIVEN, KNOWN = 0, 1, 2, 3, 4
+"""Random columns: table alike in both directions, unlike, offsets of runs; a declared table's and its terms', of variance 1."""
+
+
+@dataclass(frozen=True)
+class Memory:
+    """White noise and an AR(1) of `ar` white noise within a run, correlated by rho from row to row."""
+
+    ar: float
+    rho: float
+
+
+NO_MEMORY = Memory(0.0, 0.0)
+MEMORIES = (
+    NO_MEMORY,
+    *(Memory(0.35, rho) for rho in (0.5, 0.85)),
+    *(Memory(0.7, rho) for rho in (0.5, 0.8, 0.93)),
+    *(Memory(1.1, rho) for rho in (0.6, 0.85)),
+)
+
+
+@dataclass(frozen=True)
+class Whitened:
+    """Columns and errors over the noise of their rows: base (n, q + f), y (n,), their products, log determinant of the noise."""
+
+    base: Floats
+    y: Floats
+    gram: Floats
+    cross: Floats
+    yy: float
+    log_noise: float
+
+
+@dataclass(frozen=True)
+class Given:
+    """A declared model as a prior: its table's shape, and the square root of each term's coefficient covariance over the noise's."""
+
+    model: Model
+    shape: DeclaredShape
+    roots: tuple[Floats, ...]
+
+    @classmethod
+    def of(cls, model: Model, noise_um: float) -> Given:
+        """noise_um: standard deviation of the white noise."""
+        roots = []
+        for term in model.terms:
+            k = len(term.coefficients)
+            values, vectors = np.linalg.eigh(np.array(term.covariance)[:k, :k])
+            roots.append(np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) / noise_um))
+        return cls(model, DeclaredShape.of(model.table, noise_um), tuple(roots))
+
+    def columns(self, campaign: CampaignRows) -> list[Floats]:
+        """Of the terms, random with variance 1."""
+        pairs = zip(self.model.terms, self.roots, strict=True)
+        return [term.effect.basis(term.form, term.theta, campaign.columns) @ root for term, root in pairs]
+
+    def moved(self, beta: Floats) -> tuple[Term, ...]:
+        """The terms as the coefficients of their columns move them."""
+        out, at = [], 0
+        for term, root in zip(self.model.terms, self.roots, strict=True):
+            moved = np.array(term.coefficients) + root @ beta[at : at + root.shape[1]]
+            at += root.shape[1]
+            out.append(replace(term, coefficients=tuple(moved.tolist())))
+        return tuple(out)
+
+
+class Rows:
+    """y = fixed a + random b + … + scale (ε + memory), all over the white noise. given: the declared model, or None for a table that
+    is fitted from these rows."""
+
+    def __init__(self, campaign: CampaignRows, given: Given | None = None, scale: Floats | None = None) -> None:
+        self.campaign, self.given = campaign, given
+        self.shape: Shape = SplineShape(campaign.basis) if given is None else given.shape
+        self.n = len(campaign)
+        self.scale = np.ones(self.n) if scale is None else scale
+        self.y = campaign.error_um - (0.0 if given is None else given.model.error_um(campaign.columns))
+        table = self.shape.columns(campaign.x, campaign.d)
+        own = (campaign.run[:, None] == np.arange(campaign.runs)).astype(float)
+        offsets = own if campaign.runs > 1 else own[:, :0]
+        self.fixed = table.free
+        parts = [table.even, table.odd, offsets, table.given, *([] if given is None else given.columns(campaign))]
+        self.random = np.hstack(parts)
+        widths = [part.shape[1] for part in parts]
+        kinds = [EVEN, ODD, OFFSET, GIVEN, *[KNOWN] * (len(parts) - 4)]
+        self.group: Ints = np.repeat(kinds, widths).astype(np.int64)
+        self._white: dict[Memory, Whitened] = {}
+        self._roots: dict[tuple[int, Memory], Floats] = {}
+
+    @property
+    def is_declared(self) -> bool:
+        """Whether the table was given, so that what depends on position and direction alone can be found beside it."""
+        return self.given is not None
+
+    @cached_property
+    def of_table(self) -> Ints:
+        """Random columns of the table in the order of `ShapeColumns.stacked`."""
+        return np.concatenate([np.flatnonzero(self.group == kind) for kind in (EVEN, ODD, GIVEN)]).astype(np.int64)
+
+    def declared_terms(self, random: Floats) -> tuple[Term, ...]:
+        """The terms of the declared model, moved by the coefficients of the random columns."""
+        return () if self.given is None else self.given.moved(random[self.group == KNOWN])
+
+    def with_scale(self, scale: Floats) -> Rows:
+        """The same rows with another noise by row."""
+        return Rows(self.campaign, self.given, scale)
+
+    @cached_property
+    def stretches(self) -> list[slice]:
+        """Rows of each run, of long ones in stretches."""
+        edges = np.concatenate([[0], np.flatnonzero(np.diff(self.campaign.run)) + 1, [self.n]])
+        found = []
+        for first, last in zip(edges[:-1], edges[1:], strict=True):
+            pieces = -(-int(last - first) // LONGEST)
+            cuts = np.linspace(first, last, pieces + 1).astype(int)
+            found += [slice(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+        return found
+
+    def _root(self, rows: int, memory: Memory) -> Floats:
+        """Inverse of the Cholesky factor of the noise of so many neighbouring rows."""
+        key = rows, memory
+        if key not in self._roots:
+            apart = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
+            lower = np.linalg.cholesky(np.eye(rows) + memory.ar**2 * memory.rho**apart)
+            self._roots[key] = np.asarray(dtrtri(lower, lower=1)[0])
+        return self._roots[key]
+
+    def white(self, columns: NDArray[Real], memory: Memory) -> NDArray[Real]:
+        """Columns (n, k), or values (n,), over the noise of their rows."""
+        scaled = (columns.T / self.scale.astype(columns.dtype)).T
+        if not memory.ar:
+            return scaled
+        out = np.empty_like(scaled)
+        for rows in self.stretches:
+            root = self._root(rows.stop - rows.start, memory).astype(columns.dtype, copy=False)
+            out[rows] = root @ scaled[rows]
+        return out
+
+    def whitened(self, memory: Memory) -> Whitened:
+        """Table, offsets and errors under a memory; made once."""
+        if memory not in self._white:
+            base = self.white(np.hstack([self.random, self.fixed]), memory)
+            y = self.white(self.y, memory)
+            log_noise = 2.0 * float(np.sum(np.log(self.scale)))
+            if memory.ar:
+                roots = (self._root(rows.stop - rows.start, memory) for rows in self.stretches)
+                log_noise -= 2.0 * sum(float(np.sum(np.log(np.diag(root)))) for root in roots)
+            self._white[memory] = Whitened(base, y, base.T @ base, base.T @ y, float(y @ y), log_noise)
+        return self._white[memory]
+
+
+def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
+    """Relative standard deviation of each row's noise, (n,), geometric mean 1, from what a fit leaves: robust, by run, speed and quarter
+    of the travel, each drawn towards 1; times Student's weights where the tails are heavy.
+    """
+    size = np.abs(residual)
+    usual = max(float(np.median(size)), 1e-12)
+    size = np.minimum(size, SLOWEST_SCALE * usual)
+    scale = np.ones(len(residual))
+    quarter = np.searchsorted(np.quantile(campaign.x, [0.25, 0.5, 0.75]), campaign.x)
+    for group in (campaign.run, _speed_class(campaign), quarter):
+        for one in np.unique(group):
+            mine = group == one
+            own, count = float(np.median(size[mine] / scale[mine])) / usual, float(np.sum(mine))
+            scale[mine] *= math.sqrt((count * own**2 + USUAL.pseudo_rows) / (count + USUAL.pseudo_rows))
+    z = residual / scale
+    z = z / max(1.4826 * float(np.median(np.abs(z))), 1e-12)
+    sd = max(float(np.std(z)), 1e-12)
+    normal = float(np.sum(-0.5 * (z / sd) ** 2)) - len(z) * math.log(sd * math.sqrt(2.0 * math.pi))
+    if float(np.sum(student.logpdf(z, USUAL.tail))) > normal + USUAL.named:
+        scale = scale * np.sqrt((USUAL.tail + z**2) / (USUAL.tail + 1.0))
+    return np.asarray(scale / np.exp(np.mean(np.log(scale))))
+
+
+def _speed_class(campaign: CampaignRows) -> Ints:
+    if "velocity_mm_s" not in campaign.columns:
+        return np.zeros(len(campaign), dtype=np.int64)
+    speed = np.round(np.abs(campaign.columns["velocity_mm_s"]), 3)
+    if len(np.unique(speed)) <= 8:
+        return np.unique(speed, return_inverse=True)[1].astype(np.int64)
+    return np.searchsorted(np.quantile(speed, [0.25, 0.5, 0.75]), speed).astype(np.int64)
+
+
+def side_by_side(columns: Sequence[Floats], rows: int) -> Floats:
+    """Columns of several parts, (n, sum); none of none."""
+    return np.hstack([np.zeros((rows, 0)), *columns])

@@ -1,0 +1,208 @@
+"""The search: parts are added while the evidence grows, each must stay worth it beside the others, and any may be exchanged."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.diagnosis.model.candidates import Catalogue, Ranked
+from hil.diagnosis.model.evidence import Fit, Noise, Part, Scored, score
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.remainder import Remainder
+from hil.diagnosis.model.rows import Rows
+from hil.effects import Effect, Term
+
+MOST_PARTS = 6
+NEAR = 12.0
+"""Log odds below the best candidate down to which others are followed."""
+SAME_NOISE = 4.0
+"""Log odds below the best memory from which another one is no longer asked."""
+EXCHANGE = 1.0
+"""Log odds that an exchange must gain, so that it ends."""
+FOLLOWED, REFINED = 6, 8
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """The evidence of some parts with a further one, and the noise model there."""
+
+    log_p: float
+    part: Part
+    noise: Noise
+
+
+@dataclass(frozen=True)
+class Found:
+    """The parts, the likeliest noise model beside them, and their evidence."""
+
+    parts: tuple[Part, ...]
+    fit: Fit
+
+    @property
+    def log_p(self) -> float:
+        return self.fit.log_p
+
+
+class Search:
+    """One campaign's candidates, with what was tried. Without a remainder it looks for effects alone."""
+
+    def __init__(self, rows: Rows, catalogue: Catalogue, remainder: Remainder | None) -> None:
+        self.rows, self.catalogue, self.remainder = rows, catalogue, remainder
+        self._tried: dict[tuple[frozenset[int], bool], list[Alternative]] = {}
+        self._scored: dict[frozenset[int], list[Scored]] = {}
+        self._held: list[tuple[Part, ...]] = []
+
+    def scored(self, parts: Sequence[Part]) -> list[Scored]:
+        """As `score`, made once."""
+        key = frozenset(map(id, parts))
+        if key not in self._scored:
+            self._held.append(tuple(parts))
+            self._scored[key] = score(self.rows, parts)
+        return self._scored[key]
+
+    def fit(self, parts: Sequence[Part]) -> Fit:
+        """Under their likeliest noise model."""
+        return Fit(self.rows, parts, self.scored(parts)[0].noise)
+
+    def _fits(self, parts: Sequence[Part]) -> list[Fit]:
+        """Under their likeliest noise model, another memory that is nearly as likely, and a smoother table."""
+        best, *others = self.scored(parts)
+        noises = [best.noise, *[one.noise for one in others if one.log_p > best.log_p - SAME_NOISE][:1]]
+        if not self.rows.is_declared:
+            noises.append(best.noise.smoother())
+        return [Fit(self.rows, parts, noise) for noise in noises]
+
+    def alternatives(self, parts: Sequence[Part], *, remainder: bool = True) -> list[Alternative]:
+        """What may be added to the parts, the likeliest first."""
+        remainder = remainder and self.remainder is not None
+        key = frozenset(map(id, parts)), remainder
+        if key not in self._tried:
+            self._held.append(tuple(parts))
+            fits = self._fits(parts)
+            found = [self.with_part(parts, part, near) for part, near in self._effects(fits)]
+            if remainder and self.remainder is not None:
+                found += [self.with_part(parts, r.part, r.fit.noise) for r in self.remainder.best(fits[0], kept=2)]
+            self._tried[key] = sorted(found, key=lambda one: -one.log_p)
+        return self._tried[key]
+
+    def _effects(self, fits: Sequence[Fit]) -> list[tuple[Part, Noise]]:
+        """The effects that come near the best, each in its two likeliest forms."""
+        ranked = self.catalogue.ranked(fits)
+        if not ranked:
+            return []
+        best = ranked[0].gain
+        chosen: list[Ranked] = []
+        count: Counter[str] = Counter()
+        for one in ranked:
+            if one.gain < best - NEAR or len(chosen) >= REFINED:
+                break
+            if count[one.part.name] < 3:
+                count[one.part.name] += 1
+                chosen.append(one)
+        trials: list[Ranked] = []
+        for one in chosen:
+            part = self.catalogue.refined(one.part, one.fit) if one.gain > best - 0.75 * NEAR else one.part
+            trials.append(_as_good_as(one, part))
+            if one.gain > best - 0.5 * NEAR:
+                trials += [_as_good_as(one, rich) for rich in self.catalogue.richer(part, one.fit)]
+        trials.sort(key=lambda one: -one.gain)
+        count.clear()
+        kept = []
+        for one in trials:
+            if one.gain > trials[0].gain - 2 * NEAR / 3 and count[one.part.name] < 2:
+                count[one.part.name] += 1
+                kept.append((one.part, one.fit.noise))
+        return kept[:FOLLOWED]
+
+    def with_part(self, parts: Sequence[Part], part: Part, near: Noise) -> Alternative:
+        """The evidence with a further part: less likely as a second term of an effect, and with physics out of its range."""
+        if any(one.name == part.name and not one.is_remainder for one in parts) and not part.is_remainder:
+            part = replace(part, log_prior=part.log_prior - USUAL.richer)
+        found = score(self.rows, [*parts, part], near)[0]
+        if self._is_implausible(parts, part, found.noise):
+            part = replace(part, log_prior=part.log_prior - 2.0 * USUAL.richer)
+            found = replace(found, log_p=found.log_p - 2.0 * USUAL.richer)
+        return Alternative(found.log_p, part, found.noise)
+
+    def _is_implausible(self, parts: Sequence[Part], part: Part, noise: Noise) -> bool:
+        one = part.of
+        if one is None or one.form.shrunk:
+            return False
+        if one.effect.is_exceeded(one.form, one.theta):
+            return True
+        if type(one.effect).implausible is Effect.implausible:
+            return False
+        fit = Fit(self.rows, [*parts, part], noise)
+        at = fit.where(part, "free")
+        known = np.zeros((at.stop - at.start + len(one.theta),) * 2)
+        known[: at.stop - at.start, : at.stop - at.start] = fit.covariance[at, at]
+        rows = tuple(map(tuple, known.tolist()))
+        term = Term(one.effect, one.form, one.theta, tuple(fit.beta[at].tolist()), rows)
+        return bool(one.effect.implausible(term))
+
+    def rests_on_few(self, parts: Sequence[Part], one: Alternative) -> bool:
+        """Whether nothing is left of an effect without the few rows to which it gives most, and it is no larger there than the noise's
+        outliers are."""
+        part = one.part
+        if part.of is None or part.of.effect.once or not part.free.shape[1]:
+            return False
+        fit = Fit(self.rows, [*parts, part], one.noise)
+        course = fit.course_um(part)
+        away = np.abs(course - np.median(course))
+        if float(np.max(away)) > OUTLIER * fit.sigma:
+            return False
+        scale = self.rows.scale.copy()
+        scale[np.argsort(-away)[: max(3, math.ceil(USUAL.few * len(course)))]] *= 1e3
+        return Fit(self.rows.with_scale(scale), parts, one.noise).gain(part.free) + part.log_prior <= 0.0
+
+    def run(self, parts: Sequence[Part] = ()) -> Found:
+        """From some parts on, until nothing is worth adding."""
+        current = self.exchanged(parts)
+        for _ in range(MOST_PARTS):
+            worth = self.scored(current)[0].log_p + USUAL.named
+            trials = self.alternatives(current, remainder=False)
+            if not any(one.log_p >= worth for one in trials):
+                trials = self.alternatives(current)
+            good = (one for one in trials if one.log_p >= worth and not self.rests_on_few(current, one))
+            best = next(good, None)
+            if best is None:
+                break
+            current = self.exchanged([*current, best.part])
+        return Found(current, self.fit(current))
+
+    def exchanged(self, parts: Sequence[Part]) -> tuple[Part, ...]:
+        """The parts without those that are not worth it beside the others, and with others in the place of some where that is likelier."""
+        current = tuple(parts)
+        for _ in range(3):
+            changed = next((one for part in current if (one := self._without_or_other(current, part)) is not None), None)
+            if changed is None:
+                return current
+            current = changed
+        return current
+
+    def _without_or_other(self, parts: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
+        others = tuple(one for one in parts if one is not part)
+        worth = self.scored(parts)[0].log_p
+        if worth - self.scored(others)[0].log_p < USUAL.named:
+            return others
+        for best in self.alternatives(others)[:2]:
+            if best.log_p > worth + EXCHANGE and not self.rests_on_few(others, best):
+                return (*others, best.part)
+        return None
+
+
+OUTLIER = 6.0
+"""White noise up to which rows far off may be noise."""
+
+
+def _as_good_as(ranked: Ranked, part: Part) -> Ranked:
+    """Another form in the place of a ranked one, with its own gain."""
+    before = ranked.part
+    more = part.log_prior - before.log_prior
+    if part is not before and part.free.shape[1]:
+        more += ranked.fit.gain(part.free) - ranked.fit.gain(before.free)
+    return Ranked(ranked.gain + more, part, ranked.fit)

@@ -1,0 +1,106 @@
+"""Causes through a quantity that was not recorded: set anew for each run, or drifting with time, times what physics makes of it along
+the travel and with the direction. Each is a random part with an evidence of its own, and a rival of what was found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.model.evidence import Fit
+from hil.diagnosis.model.policy import USUAL
+from hil.effects.history import time_column
+from hil.effects.survey import OTHER_AXIS
+
+Floats = NDArray[np.float64]
+
+WAVES = np.arange(1.0, 9.0)
+"""Half periods over the campaign of a course that drifts."""
+SET, DRIFTING = "set for each run", "drifting"
+OFFSET, ALONG, REVERSAL, REVERSAL_ALONG = "1", "u", "d", "du"
+
+
+@dataclass(frozen=True)
+class Way:
+    """How an effect acts through such a quantity: columns any of which would have shown it, its courses, and what multiplies them."""
+
+    columns: tuple[str, ...]
+    courses: tuple[str, ...]
+    factors: tuple[str, ...]
+
+
+WAYS: Mapping[str, Way] = MappingProxyType(
+    {
+        "load_deflection": Way(("load_kg", "torque_percent"), (SET,), (OFFSET, ALONG, REVERSAL, REVERSAL_ALONG)),
+        "cross_axis": Way(("pos_",), (SET,), (OFFSET, ALONG)),
+        "abbe": Way(("pitch_urad", "yaw_urad"), (SET, DRIFTING), (OFFSET,)),
+        "velocity_lag": Way(("velocity_mm_s",), (SET,), (REVERSAL,)),
+        "thermal_expansion": Way(("temp_",), (DRIFTING,), (ALONG,)),
+        "thermal_drift": Way(("temp_",), (DRIFTING,), (OFFSET,)),
+        "air_index": Way(("air_temp_c", "air_pressure_hpa"), (DRIFTING,), (ALONG,)),
+        "dead_path": Way(("air_temp_c", "air_pressure_hpa"), (DRIFTING,), (OFFSET,)),
+    }
+)
+
+
+def is_recorded(way: Way, recorded: Collection[str]) -> bool:
+    """Whether a column would have shown it; of another axis any."""
+    return any(
+        (column == "pos_" and OTHER_AXIS.fullmatch(name)) or (column != "pos_" and name.startswith(column))
+        for column in way.columns
+        for name in recorded
+    )
+
+
+def courses(campaign: CampaignRows) -> dict[str, Floats]:
+    """The courses, (n, c) each."""
+    own = (campaign.run[:, None] == np.arange(campaign.runs)).astype(float)
+    time = campaign.columns[time_column(campaign.columns)]
+    share = (time - np.min(time)) / max(float(np.ptp(time)), 1e-9)
+    return {SET: own - own.mean(axis=0), DRIFTING: np.cos(np.pi * np.outer(share, WAVES)) / WAVES}
+
+
+def factors(campaign: CampaignRows) -> dict[str, Floats]:
+    """What multiplies a course, (n,) each."""
+    survey, d = campaign.survey, campaign.d
+    u = (campaign.x - survey.centre_mm) / survey.half_span_mm
+    return {OFFSET: np.ones(len(u)), ALONG: u, REVERSAL: d, REVERSAL_ALONG: d * u}
+
+
+def unlogged(fit: Fit, recorded: Collection[str], able: Collection[str]) -> Iterator[tuple[str, float]]:
+    """By effect, the log evidence of the parts of a fit with it, acting through a quantity that was not recorded.
+
+    able: effects that recorded columns can show
+    """
+    campaign = fit.rows.campaign
+    course, factor = courses(campaign), factors(campaign)
+    known: dict[tuple[str, str], float] = {}
+    for effect, way in WAYS.items():
+        if effect in able or is_recorded(way, recorded):
+            continue
+        kinds = [(c, f) for c in way.courses for f in way.factors if campaign.runs > 2 or c != SET]
+        for kind in kinds:
+            if kind not in known:
+                known[kind] = fit.random_gain(course[kind[0]] * factor[kind[1]][:, None])[0]
+        if kinds:
+            yield effect, fit.log_p + max(known[kind] for kind in kinds) - math.log(len(kinds)) - USUAL.unlogged
+
+
+def share_of(odds: Mapping[str, float]) -> dict[str, float]:
+    """Posterior of each explanation, the likeliest first, from log evidences, at the policy's temperature."""
+    top = max(odds.values())
+    raw = {name: math.exp(max((value - top) / USUAL.temperature, -40.0)) for name, value in odds.items()}
+    whole = sum(raw.values())
+    return {name: value / whole for name, value in sorted(raw.items(), key=lambda one: -one[1])}
+
+
+def columns_of(effect: str, recorded: Collection[str]) -> Sequence[str]:
+    """Columns that would show an effect, none of which was recorded."""
+    way = WAYS.get(effect)
+    return () if way is None or is_recorded(way, recorded) else tuple(c for c in way.columns if not c.endswith("_"))

@@ -1,0 +1,208 @@
+"""The verdict: what was found with its confidence and rivals, and what is left without a cause."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import rankdata
+
+from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.model.candidates import Catalogue
+from hil.diagnosis.model.evidence import Fit, Part, Scored
+from hil.diagnosis.model.intervals import terms_of
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.search import Found, Search
+from hil.diagnosis.model.unlogged import columns_of, share_of, unlogged
+from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
+from hil.diagnosis.verdict.rivals import separating
+from hil.diagnosis.verdict.unlogged import not_told_apart
+from hil.effects import Estimate, Term
+
+Floats = NDArray[np.float64]
+
+LEAST = 0.02
+"""Confidence below which a rival is not named."""
+ALIKE = 0.95
+"""Rank correlation from which two columns are equivalent as carriers."""
+FORM = frozenset({"target_mm", "direction", "time_s", "row_order"})
+"""Columns beside those of an effect along which its form may be wrong."""
+
+
+class Verdict:
+    """What the parts of a model say of the machine.
+
+    recorded: columns that are filled in every row
+    """
+
+    def __init__(self, search: Search, found: Found, recorded: Collection[str]) -> None:
+        self.search, self.fit, self.parts, self.recorded = search, found.fit, found.parts, recorded
+        self.campaign = search.rows.campaign
+        self.terms = terms_of(found.fit)
+        self.groups: dict[str, list[Part]] = {}
+        for part in sorted(found.parts, key=lambda one: -float(np.std(self.fit.course_um(one)))):
+            if not part.is_remainder:
+                self.groups.setdefault(part.name, []).append(part)
+
+    def course_um(self, name: str) -> Floats:
+        """What an effect contributes to each row, µm, (n,)."""
+        return np.asarray(sum(self.terms[id(part)].error_um(self.campaign.columns) for part in self.groups[name]))
+
+    def findings(self) -> tuple[Finding, ...]:
+        """The findings, largest first; beside a remainder a name is as sure as its share of the power, for that cause may have caused all."""
+        bare = [self._finding(name) for name in self.groups]
+        alike = not_told_apart(bare, self.recorded, self.campaign.columns)
+        left_um = max((carrier.rms.value for carrier in self.carriers), default=0.0)
+        found = []
+        for finding in bare:
+            weights = self._weights(finding, alike.get(finding.effect, ()))
+            share = finding.rms_um**2 / max(finding.rms_um**2 + left_um**2, 1e-300)
+            weights = {name: weight * share for name, weight in weights.items()}
+            weights[OUTSIDE] = weights.get(OUTSIDE, 0.0) + 1.0 - share
+            found.append(self._beside(finding, weights))
+        return tuple(sorted(found, key=lambda one: -one.rms_um))
+
+    def _finding(self, name: str) -> Finding:
+        parts = self.groups[name]
+        term, *more = (self.terms[id(part)] for part in parts)
+        whole = self.course_um(name)
+        size = float(np.std(whole))
+        beside = self.search.catalogue.table.held(whole[:, None])[:, 0]
+        if term.effect.static and not self.search.rows.is_declared and len(parts) > 1 and not term.effect.several:
+            size = float(np.std(whole - beside))
+        first = self.terms[id(parts[0])].error_um(self.campaign.columns)
+        k = len(term.coefficients)
+        relative = _size_std(term, k, self.campaign) / max(float(np.std(first)), 1e-12)
+        peak = float(np.max(np.abs(whole - np.mean(whole))))
+        return Finding(
+            term,
+            1.0,
+            (),
+            size,
+            size * relative,
+            peak,
+            tuple(more),
+            self.search.catalogue.beside.get(name, 1.0) > 0.3,
+            () if more else self._follows(parts[0], term),
+            not more and _is_vague(term, size, self.campaign),
+        )
+
+    def _odds(self, part: Part) -> dict[str, float]:
+        """Log evidence of each explanation in the place of a part, by effect."""
+        others = [one for one in self.parts if one is not part]
+        odds = {part.name: self.search.scored(self.parts)[0].log_p}
+        for one in self.search.alternatives(others):
+            odds[one.part.name] = max(odds.get(one.part.name, -1e300), one.log_p)
+        able = {grid.effect.id for grid in self.search.catalogue.grids}
+        for name, log_p in unlogged(self.search.fit(others), self.recorded, able):
+            odds[name] = max(odds.get(name, -1e300), log_p)
+        return odds
+
+    def _weights(self, finding: Finding, alike: Sequence[str]) -> dict[str, float]:
+        """Posterior of each explanation; alike: rivals that make the same rows through a column that was not recorded."""
+        odds = self._odds(self.groups[finding.effect][0])
+        other = (*alike, *finding.term.effect.stands_for(finding.term.form))
+        for name in other:
+            odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - USUAL.unlogged)
+        return share_of(odds)
+
+    def _beside(self, finding: Finding, weights: Mapping[str, float]) -> Finding:
+        effect = finding.term.effect
+        rivals = tuple(
+            RivalFound(name, weight, separating(effect, name, columns_of(name, self.recorded)))
+            for name, weight in sorted(weights.items(), key=lambda one: -one[1])
+            if name != finding.effect and weight > LEAST
+        )
+        return replace(finding, confidence=weights[finding.effect], rivals=rivals)
+
+    def _follows(self, part: Part, term: Term) -> tuple[tuple[Term, float], ...]:
+        """The effect by each column that it may follow, with its share among them; none where no other has any."""
+        others = [one for one in self.parts if one is not part]
+        odds = {part.names[:1]: self.search.scored(self.parts)[0].log_p}
+        terms = {part.names[:1]: term}
+        for one in self.search.alternatives(others):
+            key = one.part.names[:1]
+            if one.part.name == part.name and key not in odds:
+                odds[key] = one.log_p
+                fit = Fit(self.search.rows, [*others, one.part], one.noise)
+                terms[key] = terms_of(fit)[id(one.part)]
+        shares = share_of({"".join(key): value for key, value in odds.items()})
+        found = [(terms[key], shares["".join(key)]) for key in odds if shares["".join(key)] > LEAST]
+        return tuple(sorted(found, key=lambda one: -one[1])) if len(found) > 1 else ()
+
+    @property
+    def carriers(self) -> tuple[Carrier, ...]:
+        """What carries the remainders, the largest first, without those that are the error of an effect's form."""
+        found = []
+        for part in self.parts:
+            if not part.is_remainder:
+                continue
+            course = self.fit.course_um(part)
+            course = course - self.search.catalogue.table.held(course[:, None])[:, 0]
+            size = float(np.std(course))
+            if self._is_form(part, size):
+                continue
+            at = self.fit.where(part, "random")
+            slope = part.random.T @ course / (len(course) * max(size, 1e-12))
+            std = float(np.sqrt(max(float(slope @ self.fit.covariance[at, at] @ slope), 0.0)))
+            gain = self.search.scored(self.parts)[0].log_p - self._without(part).log_p
+            probability = float(np.exp(-max(gain, 0.0)))
+            found.append(Carrier(part.names, Estimate(size, std), probability, self._equivalent(part.names)))
+        return tuple(sorted(found, key=lambda one: -one.rms.value))
+
+    def _without(self, part: Part) -> Scored:
+        return self.search.scored([one for one in self.parts if one is not part])[0]
+
+    def _is_form(self, part: Part, size_um: float) -> bool:
+        """Whether a remainder is the error of the form of an effect in the same columns."""
+        for name, parts in self.groups.items():
+            own = {column for one in parts for column in one.names}
+            if set(part.names) <= own | FORM and size_um < USUAL.form * float(np.std(self.course_um(name))):
+                return True
+        return False
+
+    def _equivalent(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
+        """By column, the others that move with it."""
+        ranks = {
+            name: rankdata(self.campaign.columns[name])
+            for name in sorted(self.campaign.survey.varying)
+            if name not in ("run", "measured_mm", "command_mm", "row_order")
+        }
+        found = {}
+        for name in names:
+            if name not in ranks or name in ("target_mm", "direction"):
+                continue
+            alike = [
+                other
+                for other, values in ranks.items()
+                if other not in (*names, "target_mm", "direction")
+                and abs(float(np.corrcoef(ranks[name], values)[0, 1])) > ALIKE
+            ]
+            if alike:
+                found[name] = tuple(alike)
+        return found
+
+
+def _size_std(term: Term, k: int, campaign: CampaignRows) -> float:
+    """Standard uncertainty of the RMS of a term over the rows, µm."""
+    basis = term.effect.basis(term.form, term.theta, campaign.columns)
+    centred = basis - np.mean(basis, axis=0)
+    course = centred @ np.array(term.coefficients)
+    size = max(float(np.std(course)), 1e-12)
+    gradient = centred.T @ course / (len(course) * size)
+    covariance = np.array(term.covariance)[:k, :k]
+    return float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
+
+
+def _is_vague(term: Term, rms_um: float, campaign: CampaignRows) -> bool:
+    """Whether the rows determine the course of an effect and none of its coefficients."""
+    basis = term.effect.basis(term.form, term.theta, campaign.columns)
+    std = np.sqrt(np.maximum(np.diag(np.array(term.covariance))[: basis.shape[1]], 0.0))
+    return bool(np.all(std * np.std(basis, axis=0) > rms_um))
+
+
+def blind(catalogue: Catalogue) -> dict[str, float]:
+    """By effect, the share of it that is left beside the table."""
+    return dict(catalogue.beside)

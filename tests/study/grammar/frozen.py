@@ -1,0 +1,131 @@
+"""The frozen judge of two engines: outcomes of machines, one JSON line each, written as they come with the lots in turn,
+and two such files side by side on the machines that both have.
+
+`python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10650 --machines 200` goes on where OUT ends;
+`python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+if not __package__:  # run as a file: its own place would hide the package
+    sys.path[0] = str(Path(__file__).resolve().parents[2])
+
+import numpy as np
+from study.grammar.judge import Outcome, outcome
+from study.grammar.machine import LOTS, SEEDS
+from study.grammar.report import quantiles, right, share, text
+
+KEPT = (
+    "lot", "seed", "error", "held", "twin", "named_first", "all_named", "in_a_set", "silent", "confident_wrong", "confidences",
+    "parameters", "carriers_named", "size_ratio", "fresh_um", "table_um", "fresh_true_um", "reference_p",
+)  # fmt: skip
+"""Fields of an outcome that a comparison reads."""
+
+
+def compact(one: Outcome) -> dict[str, Any]:
+    """An outcome in one short line."""
+    kept = {name: one[name] for name in KEPT if name in one}
+    causes = one["truth"]["causes"]
+    kept["truth"] = [[c["name"], c["family"], round(c["ratio"], 2), c["columns"]] for c in causes]
+    said = one.get("said")
+    if said:
+        kept["said"] = {
+            "findings": [[f["effect"], f["confidence"], [r[:2] for r in f["rivals"]]] for f in said["findings"]],
+            "unexplained": said["unexplained"],
+            "carried_by": [c["columns"] for c in said["carried_by"]],
+            "suspected": any("is suspected" in note for note in said["notes"]),
+            "seconds": said["seconds"],
+        }
+    return dict(json.loads(json.dumps(kept), parse_float=lambda number: float(f"{float(number):.4g}")))
+
+
+def run(path: Path, lots: Sequence[str], numbers: Sequence[int]) -> None:
+    """Appends the outcomes that the file does not have yet: the first seed of each lot, then the second …"""
+    done = {(one["lot"], one["seed"]) for one in read(path)} if path.exists() else set()
+    for seed in numbers:
+        for lot in lots:
+            if (lot, seed) in done:
+                continue
+            try:
+                line = compact(outcome(lot, seed))
+            except Exception as error:  # one machine must not end the run of all others
+                line = {"lot": lot, "seed": seed, "error": f"{type(error).__name__}: {error}", "truth": []}
+            with path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+
+
+def read(path: Path) -> list[Outcome]:
+    """The outcomes of a file."""
+    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
+
+
+def _asked(one: Outcome) -> bool:
+    """What the lot asks for; confident wrong names are counted apart."""
+    return right(one | {"confident_wrong": []})
+
+
+FIGURES: dict[str, Callable[[Outcome], bool]] = {
+    "right": _asked,
+    "wrong above 0.9": lambda one: bool(one["confident_wrong"]),
+    "unexplained": lambda one: bool(one["said"]["unexplained"]),
+    "silent": lambda one: bool(one["silent"]),
+}
+
+
+def compare(files: Sequence[Path]) -> None:
+    """Prints figures of each lot, a line for each file, on the machines that all files have."""
+    by_file = [{(one["lot"], one["seed"]): one for one in read(path)} for path in files]
+    both = sorted(set.intersection(*(set(one) for one in by_file)))
+    for lot in LOTS:
+        keys = [key for key in both if key[0] == lot]
+        good = [key for key in keys if all("error" not in one[key] for one in by_file)]
+        print(f"\n{lot}: {len(keys)} machines, refused by one {len(keys) - len(good)}")
+        for path, outcomes in zip(files, by_file, strict=True):
+            own = [outcomes[key] for key in good]
+            if not own:
+                continue
+            words = [f"{name} {text(share([hit(one) for one in own]))}" for name, hit in FIGURES.items()]
+            fresh = quantiles([one["fresh_um"] / one["fresh_true_um"] for one in own if not one["held"]])
+            words += [f"fresh {text(fresh)}", f"seconds {text(quantiles([one['said']['seconds'] for one in own]))}"]
+            print(f"  {path.stem}: " + "; ".join(words))
+        if len(files) == 2:
+            _differences([(by_file[0][key], by_file[1][key]) for key in good])
+
+
+def _differences(pairs: Sequence[tuple[Outcome, Outcome]]) -> None:
+    for name, hit in FIGURES.items():
+        won = [new["seed"] for old, new in pairs if hit(new) and not hit(old)]
+        lost = [new["seed"] for old, new in pairs if hit(old) and not hit(new)]
+        if won or lost:
+            change = np.array([float(hit(new)) - float(hit(old)) for old, new in pairs])
+            half = 1.96 * float(np.std(change)) / max(len(change), 1) ** 0.5
+            print(f"    {name}: {np.mean(change):+.3f} ± {half:.3f}, only new {won}, only old {lost}")
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parts = parser.add_subparsers(dest="what", required=True)
+    runs = parts.add_parser("run")
+    runs.add_argument("out", type=Path)
+    runs.add_argument("--lot", action="append", choices=LOTS)
+    runs.add_argument("--seeds", choices=tuple(SEEDS), default="tuning")
+    runs.add_argument("--first", type=int, default=0)
+    runs.add_argument("--machines", type=int, default=40)
+    parts.add_parser("compare").add_argument("files", type=Path, nargs="+")
+    args = parser.parse_args(words)
+    if args.what == "compare":
+        compare(args.files)
+    else:
+        run(args.out, args.lot or LOTS, list(SEEDS[args.seeds][args.first : args.first + args.machines]))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
