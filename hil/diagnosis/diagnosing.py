@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri, fdtri
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.model import diagnosing as model_diagnosing
 from hil.diagnosis.campaign import AllRows, CampaignRows
+from hil.diagnosis.model import diagnosing as model_diagnosing
 from hil.diagnosis.noise.evidence import Noise
 from hil.diagnosis.noise.noise_fit import noise_with_speed
 from hil.diagnosis.noise.repeats import PureError, pure_error

@@ -78,7 +78,7 @@ class Grid:
 
     @property
     def k(self) -> int:
-        return self.columns.shape[1] // len(self.thetas)
+        return int(self.columns.shape[1]) // len(self.thetas)
 
 
 @dataclass(frozen=True)
@@ -144,29 +144,43 @@ class Catalogue:
             held = self.table.held(columns)
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
 
+    @cached_property
+    def _by_width(self) -> list[list[Grid]]:
+        """The grids by the number of columns of their candidates."""
+        return [[grid for grid in self.grids if grid.k == k] for k in sorted({grid.k for grid in self.grids})]
+
+    @cached_property
+    def _stacks(self) -> list[Singles]:
+        return [np.hstack([grid.columns for grid in same]) for same in self._by_width]
+
     def ranked(self, fits: Sequence[Fit]) -> list[Ranked]:
         """Each form by each column at its best beside fits of the same parts, the best first."""
         top = max(fit.log_p for fit in fits)
-        found = [self._best(grid, fits, top) for grid in self.grids]
-        for one in self.wandering:
-            columns = one.effect.basis(one.form, (), self.campaign.columns)
-            prior = one.effect.log_odds + one.form.log_odds
-            gains = [(fit.log_p - top + fit.random_gain(columns)[0], fit) for fit in fits]
-            gain, fit = max(gains, key=lambda pair: pair[0])
-            part = self.part(replace(one, ratio=fit.random_gain(columns)[1]), prior)
-            found.append(Ranked(gain + prior, part, fit))
-        return sorted(found, key=lambda one: -one.gain)
-
-    def _best(self, grid: Grid, fits: Sequence[Fit], top: float) -> Ranked:
-        found: list[Ranked] = []
+        found: dict[int, Ranked] = {}
         for fit in fits:
-            gains = fit.gains(grid.columns, grid.k)
-            at = int(np.argmax(gains))
-            occam = float(logsumexp(gains) - gains[at]) - math.log(len(gains))
-            prior = occam + prior_of(grid.effect, grid.form)
-            part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at]), prior)
-            found.append(Ranked(fit.log_p - top + float(gains[at]) + prior, part, fit))
-        return max(found, key=lambda one: one.gain)
+            for same, stack in zip(self._by_width, self._stacks, strict=True):
+                gains = fit.gains(stack, same[0].k)
+                at = 0
+                for grid in same:
+                    one = self._best(grid, fit, gains[at : at + len(grid.thetas)], fit.log_p - top)
+                    at += len(grid.thetas)
+                    if id(grid) not in found or one.gain > found[id(grid)].gain:
+                        found[id(grid)] = one
+        wandering = [self._wandering(one, fits, top) for one in self.wandering]
+        return sorted([*found.values(), *wandering], key=lambda one: -one.gain)
+
+    def _wandering(self, one: Candidate, fits: Sequence[Fit], top: float) -> Ranked:
+        columns = one.effect.basis(one.form, (), self.campaign.columns)
+        prior = one.effect.log_odds + one.form.log_odds
+        gain, ratio, fit = max(((*fit.random_gain(columns), fit) for fit in fits), key=lambda g: g[2].log_p + g[0])
+        return Ranked(fit.log_p - top + gain + prior, self.part(replace(one, ratio=ratio), prior), fit)
+
+    def _best(self, grid: Grid, fit: Fit, gains: Floats, behind: float) -> Ranked:
+        at = int(np.argmax(gains))
+        occam = float(logsumexp(gains) - gains[at]) - math.log(len(gains))
+        prior = occam + prior_of(grid.effect, grid.form)
+        part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at]), prior)
+        return Ranked(behind + float(gains[at]) + prior, part, fit)
 
     def refined(self, part: Part, fit: Fit) -> Part:
         """The part with its non-linear parameters where the evidence is highest."""
@@ -196,7 +210,7 @@ class Catalogue:
         return columns - self.table.held(columns) if self.rows.is_declared and not one.effect.static else columns
 
     def richer(self, part: Part, fit: Fit) -> Iterator[Part]:
-        """The same effect by the same column in its richer forms, each at its best."""
+        """The same effect by the same column in its richer forms, at the same parameters or the best of their grid."""
         one = part.of
         if one is None or one.form.shrunk:
             return
@@ -207,7 +221,7 @@ class Catalogue:
             trials = [Candidate(one.effect, form, tuple(theta)) for theta in thetas]
             best = max(trials, key=lambda trial: fit.gain(self._columns(trial))) if len(trials) > 1 else trials[0]
             prior = part.log_prior - prior_of(one.effect, one.form) + prior_of(one.effect, form)
-            yield self.refined(self.part(best, prior), fit)
+            yield self.part(best, prior)
 
 
 def prior_of(effect: Effect, form: Form) -> float:

@@ -112,15 +112,15 @@ class Case:
         if not self.found.parts:
             return self._suspected()
         force = Force(self.found.fit, live)
-        after = force.left_out_um(self.rows, self.folds)
-        notes = []
+        after, notes = force.left_out_um(self.rows, self.folds), []
         for name in dict.fromkeys(term.effect.id for term in live.values()):
-            fewer = replace(force, live={key: term for key, term in force.live.items() if term.effect.id != name})
-            parts = [part for part in self.found.parts if part.name != name]
-            without = Force(self.search.fit(parts), fewer.live).left_out_um(self.rows, self.folds)
+            parts = [part for part in force.fit.parts if part.name != name]
+            kept = {key: term for key, term in force.live.items() if term.effect.id != name}
+            fewer = Force(self.search.fit(parts), kept)
+            without = fewer.left_out_um(self.rows, self.folds)
             if not improves(without, after, self.folds.of_all):
                 notes.append(f"{name} is not corrected: runs left out are no better with it than without")
-                force, after = fewer, fewer.left_out_um(self.rows, self.folds)
+                force, after = fewer, without
         return InForce(force, after, tuple(notes))
 
     def _bounded(self, live: Mapping[int, Term]) -> dict[int, Term]:
@@ -134,9 +134,7 @@ class Case:
         }
 
     def _suspected(self) -> InForce:
-        """Where nothing was found: the likeliest effect of the machine that is likelier than none and helps runs left out, as small as its
-        posterior makes it.
-        """
+        """Where nothing was found: the likeliest effect of the machine that helps runs left out, times its posterior."""
         nothing = InForce(self.null, self.null.left_out_um(self.rows, self.folds))
         none = self.search.scored(())[0].log_p
         for one in self.search.alternatives(()):
@@ -156,8 +154,8 @@ class Case:
                 return nothing
             (term,) = small.values()
             note = (
-                f"{one.part.name} is suspected (posterior {share:.2f}): noise may make as much, so it is no finding; the extended model"
-                f" holds that share of it. {term.effect.explain(term)}"
+                f"{one.part.name} is suspected (posterior {share:.2f}): noise may make as much, so it is no finding; the extended"
+                f" model holds that share of it. {term.effect.explain(term)}"
             )
             return InForce(force, after, (note,))
         return nothing
@@ -233,4 +231,3 @@ def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
     rows = -1.0 / math.log(memory.rho) if 0.0 < memory.rho < 1.0 and memory.ar else 0.0
     offset = math.exp(float(noise.log_sd[2]))
     return NoiseParts(white_um, white_um * memory.ar, rows, white_um * offset)
-

@@ -229,7 +229,9 @@ class Fit:
         profile = Profile(rows, columns, noise.memory)
         self.log_p = profile.value(noise.log_sd)[0] + _prior(parts)
         q, x, r = rows.random.shape[1], rows.fixed.shape[1], columns.r
-        order = np.concatenate([np.arange(q), q + x + np.arange(r), q + np.arange(x), q + x + np.arange(r, columns.all.shape[1])])
+        order = np.concatenate(
+            [np.arange(q), q + x + np.arange(r), q + np.arange(x), q + x + np.arange(r, columns.all.shape[1])]
+        )
         self.design = np.hstack([rows.random, rows.fixed, columns.all])[:, order]
         self._r, self._x, self._q = r, x, q
         white = rows.whitened(noise.memory)
@@ -288,7 +290,9 @@ class Fit:
 
     def course_um(self, part: Part) -> Floats:
         """What a part contributes to each row, µm, (n,)."""
-        return np.asarray(part.random @ self.beta[self.where(part, "random")] + part.free @ self.beta[self.where(part, "free")])
+        return np.asarray(
+            part.random @ self.beta[self.where(part, "random")] + part.free @ self.beta[self.where(part, "free")]
+        )
 
     def normal(self, columns: Floats) -> tuple[Floats, Floats]:
         """Normal equations of further columns (n, k) beside the fit: matrix (k, k), right side (k,)."""

@@ -39,7 +39,7 @@ def terms_of(fit: Fit) -> dict[int, Term]:
 
 def _term(fit: Fit, part: Part) -> Term:
     one = part.of
-    assert one is not None  # noqa: S101 - of `terms_of`
+    assert one is not None
     if one.form.shrunk:
         at, scale = fit.where(part, "random"), math.sqrt(one.ratio)
         return _as_term(one, fit.beta[at] * scale, fit.covariance[at, at] * one.ratio)

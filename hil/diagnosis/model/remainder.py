@@ -1,8 +1,8 @@
 """The remainder: functions of one column or two that no effect of the catalogue has, as random parts of one family.
 
-Waves: products of harmonics (of levels, where a column has few) of one or two columns, with and without the sign of the direction; fine
-ones of position and time; a turning part whose amplitude another column changes. Blocks: smooth functions of the same, processes in time
-along the travel, one run, one row in n. Each pays for the choice among all of its kind.
+Waves: products of harmonics (of levels, where a column has few) of one or two columns, with and without the sign of the direction;
+fine ones of position and time; a turning part whose amplitude another column changes. Blocks: smooth functions of the same, processes
+in time along the travel, one run, one row in n. Each pays for the choice among all of its kind.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ from hil.effects.history import BRANCH, LONG_STROKE_MM, time_column
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
-NO_CAUSE = frozenset({"run", "measured_mm", "command_mm", "direction", "row_order", "correction_um", "residual_um", *BRANCH})
+NO_CAUSE = frozenset(
+    {"run", "measured_mm", "command_mm", "direction", "row_order", "correction_um", "residual_um", *BRANCH}
+)
 """Columns that cannot carry a cause: names, readings, and what others carry better."""
 MOST_LEVELS = 8
 COARSE = np.arange(0.5, 3.6, 0.5)
@@ -119,10 +121,15 @@ class Remainder:
         far = {name for name in usable if name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM)}
         self.axes = {name: Axis(name, campaign.columns[name]) for name in usable if name not in far}
 
-    def _signed(self, names: tuple[str, ...], columns: Floats | Singles) -> Iterator[Block]:
+    def _signed(self, names: tuple[str, ...], columns: Floats) -> Iterator[Block]:
         yield Block(names, columns)
         if self.d is not None:
-            yield Block((*names, "direction"), columns * self.d.astype(columns.dtype)[:, None])
+            yield Block((*names, "direction"), columns * self.d[:, None])
+
+    def _waves(self, names: tuple[str, ...], columns: Singles, k: int) -> Iterator[Waves]:
+        yield Waves(names, columns, k)
+        if self.d is not None:
+            yield Waves((*names, "direction"), columns * self.d.astype(np.float32)[:, None], k)
 
     @cached_property
     def waves(self) -> list[Waves]:
@@ -131,12 +138,10 @@ class Remainder:
         for axis in self.axes.values():
             if axis.name == "target_mm":
                 continue
-            own = axis.waves(COARSE).reshape(n, -1)
-            signed = self._signed((axis.name,), own)
-            found += [Waves(one.names, one.columns, 2) for one in signed if one.names != (self.time,)]  # a reading that wanders
+            own = self._waves((axis.name,), axis.waves(COARSE).reshape(n, -1), 2)
+            found += [one for one in own if one.names != (self.time,)]  # that is a reading that wanders
         for a, b in itertools.combinations(self.axes.values(), 2):
-            both = _products(a.waves(COARSE), b.waves(COARSE))
-            found += [Waves(one.names, one.columns, 4) for one in self._signed((a.name, b.name), both)]
+            found += self._waves((a.name, b.name), _products(a.waves(COARSE), b.waves(COARSE)), 4)
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
         if place is not None and time is not None:
             fine = _products(place.waves(FINE_PLACE), time.waves(FINE_TIME))
@@ -233,7 +238,7 @@ class Remainder:
         return Part(OUTSIDE, one.names, none, columns, none, -price)
 
 
-def _products(a: Floats | Singles, b: Floats | Singles) -> Floats | Singles:
+def _products(a: Singles, b: Singles) -> Singles:
     """Products of the functions of two columns, (n, K, i) and (n, L, j): (n, K·L·i·j), those of one pair of periods side by side."""
     return np.asarray((a[:, :, None, :, None] * b[:, None, :, None, :]).reshape(len(a), -1))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -138,10 +139,10 @@ class Rows:
         """Rows of each run, of long ones in stretches."""
         edges = np.concatenate([[0], np.flatnonzero(np.diff(self.campaign.run)) + 1, [self.n]])
         found = []
-        for first, last in zip(edges[:-1], edges[1:], strict=True):
+        for first, last in itertools.pairwise(edges):
             pieces = -(-int(last - first) // LONGEST)
             cuts = np.linspace(first, last, pieces + 1).astype(int)
-            found += [slice(int(a), int(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+            found += [slice(int(a), int(b)) for a, b in itertools.pairwise(cuts)]
         return found
 
     def _root(self, rows: int, memory: Memory) -> Floats:
@@ -155,7 +156,7 @@ class Rows:
 
     def white(self, columns: NDArray[Real], memory: Memory) -> NDArray[Real]:
         """Columns (n, k), or values (n,), over the noise of their rows."""
-        scaled = (columns.T / self.scale.astype(columns.dtype)).T
+        scaled = np.asarray((columns.T / self.scale.astype(columns.dtype)).T, dtype=columns.dtype)
         if not memory.ar:
             return scaled
         out = np.empty_like(scaled)
@@ -178,8 +179,9 @@ class Rows:
 
 
 def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
-    """Relative standard deviation of each row's noise, (n,), geometric mean 1, from what a fit leaves: robust, by run, speed and quarter
-    of the travel, each drawn towards 1; times Student's weights where the tails are heavy.
+    """Relative standard deviation of each row's noise, (n,), geometric mean 1, from what a fit leaves.
+
+    Robust, by run, speed and quarter of the travel, each drawn towards 1; times Student's weights where the tails are heavy.
     """
     size = np.abs(residual)
     usual = max(float(np.median(size)), 1e-12)

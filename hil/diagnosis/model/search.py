@@ -52,8 +52,10 @@ class Search:
 
     def __init__(self, rows: Rows, catalogue: Catalogue, remainder: Remainder | None) -> None:
         self.rows, self.catalogue, self.remainder = rows, catalogue, remainder
-        self._tried: dict[tuple[frozenset[int], bool], list[Alternative]] = {}
+        self._tried: dict[frozenset[int], list[Alternative]] = {}
+        self._left: dict[frozenset[int], list[Alternative]] = {}
         self._scored: dict[frozenset[int], list[Scored]] = {}
+        self._refinements: dict[int, Ranked] = {}
         self._held: list[tuple[Part, ...]] = []
 
     def scored(self, parts: Sequence[Part]) -> list[Scored]:
@@ -78,16 +80,25 @@ class Search:
 
     def alternatives(self, parts: Sequence[Part], *, remainder: bool = True) -> list[Alternative]:
         """What may be added to the parts, the likeliest first."""
-        remainder = remainder and self.remainder is not None
-        key = frozenset(map(id, parts)), remainder
+        found = self._of_effects(parts)
+        if remainder and self.remainder is not None:
+            found = [*found, *self._of_remainder(parts, self.remainder)]
+        return sorted(found, key=lambda one: -one.log_p)
+
+    def _of_effects(self, parts: Sequence[Part]) -> list[Alternative]:
+        key = frozenset(map(id, parts))
         if key not in self._tried:
             self._held.append(tuple(parts))
-            fits = self._fits(parts)
-            found = [self.with_part(parts, part, near) for part, near in self._effects(fits)]
-            if remainder and self.remainder is not None:
-                found += [self.with_part(parts, r.part, r.fit.noise) for r in self.remainder.best(fits[0], kept=2)]
-            self._tried[key] = sorted(found, key=lambda one: -one.log_p)
+            self._tried[key] = [self.with_part(parts, part, near) for part, near in self._effects(self._fits(parts))]
         return self._tried[key]
+
+    def _of_remainder(self, parts: Sequence[Part], remainder: Remainder) -> list[Alternative]:
+        key = frozenset(map(id, parts))
+        if key not in self._left:
+            self._held.append(tuple(parts))
+            ranked = remainder.best(self.fit(parts), kept=2)
+            self._left[key] = [self.with_part(parts, one.part, one.fit.noise) for one in ranked]
+        return self._left[key]
 
     def _effects(self, fits: Sequence[Fit]) -> list[tuple[Part, Noise]]:
         """The effects that come near the best, each in its two likeliest forms."""
@@ -105,18 +116,27 @@ class Search:
                 chosen.append(one)
         trials: list[Ranked] = []
         for one in chosen:
-            part = self.catalogue.refined(one.part, one.fit) if one.gain > best - 0.75 * NEAR else one.part
-            trials.append(_as_good_as(one, part))
+            own = self._refined(one) if one.gain > best - 0.75 * NEAR else one
+            trials.append(own)
             if one.gain > best - 0.5 * NEAR:
-                trials += [_as_good_as(one, rich) for rich in self.catalogue.richer(part, one.fit)]
+                trials += [_as_good_as(own, rich) for rich in self.catalogue.richer(own.part, own.fit)]
         trials.sort(key=lambda one: -one.gain)
         count.clear()
-        kept = []
+        kept: list[tuple[Part, Noise]] = []
         for one in trials:
-            if one.gain > trials[0].gain - 2 * NEAR / 3 and count[one.part.name] < 2:
+            if one.gain > trials[0].gain - 2 * NEAR / 3 and count[one.part.name] < 2 and len(kept) < FOLLOWED:
                 count[one.part.name] += 1
-                kept.append((one.part, one.fit.noise))
-        return kept[:FOLLOWED]
+                kept.append((self._refined(one).part if one not in chosen else one.part, one.fit.noise))
+        return kept
+
+    def _refined(self, one: Ranked) -> Ranked:
+        """With its non-linear parameters where the evidence is highest."""
+        key = id(one.part)
+        if key not in self._refinements:
+            self._held.append((one.part,))
+            self._refinements[key] = _as_good_as(one, self.catalogue.refined(one.part, one.fit))
+            self._refinements[id(self._refinements[key].part)] = self._refinements[key]
+        return self._refinements[key]
 
     def with_part(self, parts: Sequence[Part], part: Part, near: Noise) -> Alternative:
         """The evidence with a further part: less likely as a second term of an effect, and with physics out of its range."""
@@ -175,10 +195,12 @@ class Search:
         return Found(current, self.fit(current))
 
     def exchanged(self, parts: Sequence[Part]) -> tuple[Part, ...]:
-        """The parts without those that are not worth it beside the others, and with others in the place of some where that is likelier."""
+        """The parts without those that are not worth it beside the others, and with likelier ones in the place of some."""
         current = tuple(parts)
         for _ in range(3):
-            changed = next((one for part in current if (one := self._without_or_other(current, part)) is not None), None)
+            changed = next(
+                (one for part in current if (one := self._without_or_other(current, part)) is not None), None
+            )
             if changed is None:
                 return current
             current = changed

@@ -51,7 +51,7 @@ class Verdict:
         return np.asarray(sum(self.terms[id(part)].error_um(self.campaign.columns) for part in self.groups[name]))
 
     def findings(self) -> tuple[Finding, ...]:
-        """The findings, largest first; beside a remainder a name is as sure as its share of the power, for that cause may have caused all."""
+        """The findings, largest first. Beside a remainder a name is as sure as its share of the power."""
         bare = [self._finding(name) for name in self.groups]
         alike = not_told_apart(bare, self.recorded, self.campaign.columns)
         left_um = max((carrier.rms.value for carrier in self.carriers), default=0.0)
