@@ -99,7 +99,7 @@ class Finding:
         if self.summed:
             only = f"{len(self.terms)} forms together fit it, so none has a coefficient of its own"
             return f"{course} that no single form of the catalogue has, {size}; {only}."
-        told = " ".join(term.effect.explain(term) for term in self.terms)
+        told = self.term.effect.explain_all(self.terms)
         if self.is_unstated:
             told = f"{course}, {size}; these rows do not determine its coefficients."
         either = " or ".join(f"{term.needs[0]} ({share:.2f})" for term, share in self.follows)

@@ -243,6 +243,10 @@ class Effect(ABC):
     def explain(self, term: Term) -> str:
         """One sentence: the cause, with figures and units."""
 
+    def explain_all(self, terms: Sequence[Term]) -> str:
+        """Several terms of one effect, the largest first, in sentences."""
+        return " ".join(map(self.explain, terms))
+
     def lag(self, form: Form, theta: Sequence[float]) -> tuple[str, float] | None:
         """The sensor's column that it reads through a lag, and the time constant, s: a correction has to know that sensor's course."""
         del form, theta

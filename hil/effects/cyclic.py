@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term, Wave
+from hil.effects.base import COVERS, Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term, Wave
 from hil.effects.survey import Survey
 
 FUNDAMENTAL = "fundamental"
@@ -157,6 +157,12 @@ class Cyclic(Effect):
     def action_for(self, term: Term) -> Action:
         return self.action if order_of_interference(term) is None else Action.FIX_SETUP
 
+    def explain_all(self, terms: Sequence[Term]) -> str:
+        parts = parts_that_turn(terms)
+        return " ".join(
+            text for part in parts for text in (self.explain(part[0]), *([_others(part)] if len(part) > 1 else []))
+        )
+
     def explain(self, term: Term) -> str:
         extra = "" if term.form.name == FUNDAMENTAL else f", {term.form.name}"
         order = order_of_interference(term)
@@ -170,10 +176,42 @@ class Cyclic(Effect):
         return f"The error repeats every {period_mm(term)} mm of travel with an amplitude of {term.amplitude(0, 1)} µm{extra}: {part}."
 
 
+def parts_that_turn(terms: Sequence[Term]) -> list[list[Term]]:
+    """The terms by the part that makes them, each with its longest period first: whole fractions of one period are harmonics, and
+    periods that the travel cannot resolve are one cycle whose amplitude changes along it.
+    """
+    parts: list[list[Term]] = []
+    for term in sorted(terms, key=lambda one: -period_mm(one).value):
+        mine = next((part for part in parts if _is_of(term, part[0])), None)
+        if mine is None:
+            parts.append([term])
+        else:
+            mine.append(term)
+    return parts
+
+
+def _is_of(term: Term, first: Term) -> bool:
+    """Whether a term is a harmonic of another one, or a sideband of it."""
+    own, whole = period_mm(term), period_mm(first)
+    order = round(whole.value / own.value)
+    if not 1 <= order <= HIGHEST_ORDER:
+        return False
+    resolved = 1.0 / (term.form.nonlinear[0].upper * 2.0)  # periods per mm that the travel tells apart
+    apart = abs(1.0 / own.value - order / whole.value)
+    unsure = COVERS * math.hypot(own.std / own.value**2, order * whole.std / whole.value**2)
+    return apart <= max(resolved, min(unsure, SAME_PERIOD / own.value))
+
+
 def _wave(per_mm: float, sine: float, cosine: float) -> Wave:
     """sine · sin(per_mm · x) + cosine · cos(per_mm · x), as one sine."""
     size, phase, sin = math.hypot(sine, cosine), math.atan2(cosine, sine), math.sin
     return Wave(lambda x: size * sin(per_mm * x + phase), per_mm * size)
+
+
+def _others(part: Sequence[Term]) -> str:
+    """The further terms of a part in a sentence."""
+    told = " and ".join(f"{period_mm(one)} mm ({one.amplitude(0, 1)} µm)" for one in part[1:])
+    return f"Of the same part: {told}, harmonics of it or a change of its amplitude along the travel."
 
 
 def _both(first: Wave, second: Wave) -> Wave:

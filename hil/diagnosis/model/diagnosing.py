@@ -10,10 +10,11 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
 from hil.diagnosis.model.candidates import Catalogue, effects_beside
-from hil.diagnosis.model.evidence import Fit, Noise, score
+from hil.diagnosis.model.evidence import Fit, Noise, Part, score
 from hil.diagnosis.model.force import Folds, Force, compensated, improves
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.policy import USUAL
@@ -44,7 +45,8 @@ SURE = 0.9
 def diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
     """As `hil.diagnosis.diagnosing.diagnose`."""
     started = time.perf_counter()
-    return replace(Case(records, declared, effects, seed).diagnosis(), seconds=time.perf_counter() - started)
+    with threadpool_limits(1, "blas"):  # many small products, slower with threads
+        return replace(Case(records, declared, effects, seed).diagnosis(), seconds=time.perf_counter() - started)
 
 
 def rows_of(campaign: CampaignRows, declared: Model | None) -> Rows:
@@ -58,13 +60,13 @@ def rows_of(campaign: CampaignRows, declared: Model | None) -> Rows:
 
 
 def searched(rows: Rows, effects: Sequence[Effect]) -> tuple[Search, Found]:
-    """The parts: effects first, then with the noise of each row as they leave it, remainders too."""
-    catalogue = Catalogue(rows, effects_beside(rows, effects))
-    first = Search(rows, catalogue, None).run()
+    """The parts, and those again with the noise of each row as the first ones leave it."""
+    catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
+    first = Search(rows, catalogue, remainder).run()
     weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
     if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
         weighted = rows
-    search = Search(weighted, catalogue, Remainder(rows.campaign))
+    search = Search(weighted, catalogue, remainder)
     return search, search.run(first.parts)
 
 
@@ -108,20 +110,31 @@ class Case:
 
     @cached_property
     def in_force(self) -> InForce:
-        live = self._bounded(compensated(self.found.parts, self.verdict.terms))
+        """What is corrected: each effect of the machine that helps on runs left out, beside everything else that was found."""
         if not self.found.parts:
             return self._suspected()
-        force = Force(self.found.fit, live)
-        after, notes = force.left_out_um(self.rows, self.folds), []
-        for name in dict.fromkeys(term.effect.id for term in live.values()):
-            parts = [part for part in force.fit.parts if part.name != name]
-            kept = {key: term for key, term in force.live.items() if term.effect.id != name}
-            fewer = Force(self.search.fit(parts), kept)
-            without = fewer.left_out_um(self.rows, self.folds)
-            if not improves(without, after, self.folds.of_all):
+        parts, notes = self.found.parts, []
+        whole = self._left_out(parts)
+        for name in dict.fromkeys(term.effect.id for term in compensated(parts, self.verdict.terms).values()):
+            fewer = tuple(part for part in parts if part.name != name)
+            without = self._left_out(fewer)
+            if not improves(without, whole, self.folds.of_all):
                 notes.append(f"{name} is not corrected: runs left out are no better with it than without")
-                force, after = fewer, without
-        return InForce(force, after, tuple(notes))
+                parts, whole = fewer, without
+        fit = self.search.fit(parts)
+        terms = self.verdict.terms if parts is self.found.parts else terms_of(fit)
+        force = Force(fit, self._bounded(compensated(parts, terms)))
+        return InForce(force, force.left_out_um(self.rows, self.folds), tuple(notes))
+
+    def _left_out(self, parts: tuple[Part, ...]) -> Floats:
+        """What these parts all together leave on runs left out; about each run's mean beside a cause that no run predicts."""
+        terms = {id(part): self.verdict.terms[id(part)] for part in parts if not part.is_remainder}
+        left = Force(self.search.fit(parts), terms).left_out_um(self.rows, self.folds)
+        if any(term.effect.once for term in self.verdict.terms.values()):
+            for index in np.unique(self.folds.of_all):
+                mine = self.folds.of_all == index
+                left[mine] -= np.mean(left[mine])
+        return left
 
     def _bounded(self, live: Mapping[int, Term]) -> dict[int, Term]:
         """The terms, of which those by a temperature that is not sure go no further than it went on these rows."""

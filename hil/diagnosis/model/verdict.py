@@ -31,6 +31,10 @@ FORM = frozenset({"target_mm", "direction", "time_s", "row_order"})
 """Columns beside those of an effect along which its form may be wrong."""
 
 
+CLOCKS = frozenset({"run", "time_s", "row_order"})
+"""Columns that only count: what happens once happens at one of their values."""
+
+
 class Verdict:
     """What the parts of a model say of the machine.
 
@@ -106,7 +110,22 @@ class Verdict:
         other = (*alike, *finding.term.effect.stands_for(finding.term.form))
         for name in other:
             odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - USUAL.unlogged)
+        if finding.term.effect.once and self._switched(finding):
+            odds[OUTSIDE] = max(odds.get(OUTSIDE, -1e300), odds[finding.effect] - USUAL.unlogged)
         return share_of(odds)
+
+    def _switched(self, finding: Finding) -> bool:
+        """Whether a recorded column passes a level where the reading jumps, and nowhere else: a relay of it makes the same rows."""
+        course = finding.term.error_um(self.campaign.columns)
+        above = course > np.mean([np.min(course), np.max(course)])
+        if finding.term.form.shrunk or np.ptp(course) == 0.0:
+            return False
+        for name in sorted(self.campaign.survey.varying - CLOCKS):
+            values = self.campaign.columns[name]
+            for one, other in ((values[above], values[~above]), (values[~above], values[above])):
+                if np.max(one) < np.min(other):
+                    return True
+        return False
 
     def _beside(self, finding: Finding, weights: Mapping[str, float]) -> Finding:
         effect = finding.term.effect

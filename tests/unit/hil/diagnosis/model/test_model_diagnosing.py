@@ -1,0 +1,144 @@
+"""What the second engine says of machines made by hand: names, what is unexplained, silence, and figures of the model in the file."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+from support.campaigns import Array, Errors, campaign, wavy
+
+from hil.diagnosis import fit_model
+from hil.diagnosis.model import diagnosing
+from hil.diagnosis.result import OUTSIDE, Diagnosis
+from hil.effects import ALL, Action
+
+
+def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+    """A screw that warms and breathes, a load for each run."""
+    t, run = c["time_s"], c["run"].astype(int) - 1
+    warm = 20.0 + 3.0 * (1.0 - np.exp(-t / 200.0)) + 0.2 * np.sin(t / 90.0) + 0.02 * rng.normal(size=len(t))
+    return {"temp_screw_c": warm, "load_kg": rng.choice([0.0, 50.0, 100.0], 6)[run]}
+
+
+def x(c: dict[str, Array]) -> Array:
+    return c["target_mm"]
+
+
+def switched(c: dict[str, Array], every_s: float) -> Array:
+    return np.where((c["time_s"] // every_s) % 2 == 0, 1.0, -1.0)
+
+
+def tenth(c: dict[str, Array]) -> Array:
+    return (np.arange(len(x(c))) % 10 == 4).astype(float)
+
+
+CASES: dict[str, Errors] = {
+    "nothing": lambda c: 0.0 * x(c),
+    "cycle": lambda c: np.sin(2.0 * np.pi * x(c) / 10.0),
+    "harmonics": lambda c: np.sin(np.pi * x(c) / 10.0) + 0.7 * np.sin(0.6 * np.pi * x(c) / 2.0 + 2.0),
+    "expansion": lambda c: 0.011 * x(c) * (c["temp_screw_c"] - 20.0),
+    "load": lambda c: 0.02 * c["load_kg"] * c["direction"],
+    "jump": lambda c: 1.5 * (c["time_s"] > 300.0),
+    "load zone": lambda c: 0.02 * c["load_kg"] * np.exp(-0.5 * ((x(c) - 150.0) / 20.0) ** 2),
+    "state along": lambda c: switched(c, 170.0) * np.sin(x(c) / 40.0),
+    "one run": lambda c: 1.5 * (c["run"] == 3) * np.sin(x(c) / 30.0),
+    "tenth row": lambda c: 4.0 * tenth(c) * np.sin(x(c) / 60.0),
+    "relay": lambda c: 2.0 * (c["temp_screw_c"] > 21.8),
+}
+
+
+@functools.cache
+def said(case: str, seed: int = 5, without: str = "") -> Diagnosis:
+    records = campaign(lambda c: wavy(c) + CASES[case](c), sensors=sensors, seed=seed)
+    if without:
+        records = type(records).of({name: v for name, v in records.columns.items() if name != without})
+    return diagnosing.diagnose(records, None, ALL, 0)
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_noise_is_met_with_silence(seed: int) -> None:
+    found = said("nothing", seed)
+    assert not found.findings
+    assert not found.unexplained
+    assert found.noise.within_run_um == pytest.approx(0.3, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("case", "effect", "parameter", "true"),
+    [
+        ("cycle", "cyclic", "period_mm", 10.0),
+        ("expansion", "thermal_expansion", "coefficient_ppm_per_k", 11.0),
+        ("load", "load_deflection", "compliance_with_direction_um_per_kg", 0.02),
+        ("jump", "datum_step", "step_um", 1.5),
+    ],
+)
+def test_a_cause_of_the_catalogue_is_named_with_its_parameter(
+    case: str, effect: str, parameter: str, true: float
+) -> None:
+    found = said(case)
+    assert [finding.effect for finding in found.findings] == [effect]
+    assert not found.unexplained
+    estimate = found.findings[0].parameters[parameter]
+    assert estimate.interval[0] <= true <= estimate.interval[1]
+
+
+@pytest.mark.parametrize(
+    ("case", "columns"),
+    [
+        ("load zone", {"load_kg", "target_mm"}),
+        ("state along", {"target_mm", "time_s"}),
+        ("one run", {"run", "target_mm"}),
+        ("tenth row", {"row_order", "target_mm"}),
+    ],
+)
+def test_a_cause_outside_the_catalogue_is_left_with_its_columns(case: str, columns: set[str]) -> None:
+    found = said(case)
+    assert found.unexplained
+    assert columns <= set(found.carriers[0].columns)
+    assert not [finding for finding in found.findings if finding.confidence > 0.5]
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_figures_are_those_of_the_model_in_the_file(case: str) -> None:
+    """Each run predicted by the same terms and a table of the others: nothing corrected leaves what the table alone leaves."""
+    found = said(case)
+    compensated = [finding for finding in found.findings if finding.action is Action.COMPENSATE]
+    if not found.extended.terms and not found.findings and not found.unexplained:
+        assert np.array_equal(found.after_um, found.before_um)
+    if found.extended.terms:
+        assert compensated or any("suspected" in note for note in found.notes)
+        assert found.after.rms_um < found.before.rms_um
+    assert found.recommended == (found.after.rms_um < np.sqrt(np.mean(_uncorrected(case) ** 2)))
+
+
+def _uncorrected(case: str) -> Array:
+    return campaign(lambda c: wavy(c) + CASES[case](c), sensors=sensors, seed=5).uncorrected_error_um
+
+
+def test_a_recorded_column_that_passed_a_level_at_the_jump_is_a_rival() -> None:
+    found = said("relay")
+    assert found.findings[0].effect == "datum_step"
+    assert OUTSIDE in {rival.effect for rival in found.findings[0].rivals}
+    assert found.findings[0].confidence < 0.9
+
+
+@pytest.mark.parametrize("case", ["load", "expansion"])
+def test_without_its_sensor_a_cause_has_no_sure_wrong_name(case: str) -> None:
+    column, effect = {"load": ("load_kg", "load_deflection"), "expansion": ("temp_screw_c", "thermal_expansion")}[case]
+    found = said(case, without=column)
+    assert not [f for f in found.findings if f.confidence > 0.9 and f.effect != effect]
+
+
+def test_harmonics_of_one_part_are_told_of_one_part() -> None:
+    (finding,) = said("harmonics").findings
+    assert finding.effect == "cyclic"
+    assert finding.explanation.count("a part that turns") == 1
+
+
+def test_beside_a_table_measured_before_a_worn_zone_is_named() -> None:
+    before = campaign(wavy, seed=8)
+    now = campaign(lambda c: wavy(c) + 2.0 * np.exp(-0.5 * ((x(c) - 200.0) / 25.0) ** 2), seed=9)
+    found = diagnosing.diagnose(now, fit_model(before), ALL, 0)
+    assert [finding.effect for finding in found.findings] == ["local_wear"]
+    assert found.after.rms_um < 0.5 * found.before.rms_um
