@@ -132,7 +132,8 @@ def _diagnose(records: Records, declared: Model | None, effects: Sequence[Effect
     worse = _corrects_worse(findings, left_out) if declared is None else set()
     if worse:  # the table alone predicts runs left out better; a declared one may be of these rows
         extended = within_what_was_seen(refitted_without(chosen, worse, noise).fit, courses, rows.columns)
-        left_out = left_out if _corrected(findings) - worse else replace(left_out, after=left_out.before)
+    if declared is None and not extended.extended.terms:  # the file holds the table alone
+        left_out = replace(left_out, after=left_out.before)
     after, alone = Figures.of(left_out.after), Figures.of(rows.error_um)
     found_out = Diagnosis(
         pure_error=floor,

@@ -39,6 +39,8 @@ SWITCHING = np.arange(1.0, 25.0)
 """Those of a process in time: amplitudes that fall with frequency are those of a state that switches or wanders."""
 TURNS = (4.0, 170.0)
 """Periods along the travel of a part that turns and changes with another column: below, the smooth blocks have it."""
+MOST_BYTES = 120_000_000
+"""Most bytes of waves that are kept; of more rows they are made again for each scan."""
 WIDTHS = (8, 16, 40)
 """Columns of a block, at most."""
 THIN = 3e-3
@@ -119,6 +121,7 @@ class Remainder:
         self.time = time_column(campaign.columns)
         usable = [name for name in sorted(survey.varying) if name not in NO_CAUSE or name == self.time]
         far = {name for name in usable if name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM)}
+        self._kept: list[Waves] | None = None
         self.axes = {name: Axis(name, campaign.columns[name]) for name in usable if name not in far}
 
     def _signed(self, names: tuple[str, ...], columns: Floats) -> Iterator[Block]:
@@ -131,24 +134,35 @@ class Remainder:
         if self.d is not None:
             yield Waves((*names, "direction"), columns * self.d.astype(np.float32)[:, None], k)
 
-    @cached_property
-    def waves(self) -> list[Waves]:
+    def waves(self) -> Iterator[Waves]:
+        """All groups, from memory where they are few."""
+        if self._kept is not None:
+            yield from self._kept
+            return
+        kept: list[Waves] = []
+        size = 0
+        for one in self._all_waves():
+            size += one.columns.nbytes
+            if size < MOST_BYTES:
+                kept.append(one)
+            yield one
+        self._kept = kept if size < MOST_BYTES else None
+
+    def _all_waves(self) -> Iterator[Waves]:
         n = len(self.campaign)
-        found = []
         for axis in self.axes.values():
             if axis.name == "target_mm":
                 continue
             own = self._waves((axis.name,), axis.waves(COARSE).reshape(n, -1), 2)
-            found += [one for one in own if one.names != (self.time,)]  # that is a reading that wanders
+            yield from (one for one in own if one.names != (self.time,))  # that is a reading that wanders
         for a, b in itertools.combinations(self.axes.values(), 2):
-            found += self._waves((a.name, b.name), _products(a.waves(COARSE), b.waves(COARSE)), 4)
+            yield from self._waves((a.name, b.name), _products(a.waves(COARSE), b.waves(COARSE)), 4)
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
         if place is not None and time is not None:
             fine = _products(place.waves(FINE_PLACE), time.waves(FINE_TIME))
-            found.append(Waves((place.name, time.name), fine, 4))
+            yield Waves((place.name, time.name), fine, 4)
         if place is not None and not place.has_levels:
-            found += self._turning(place)
-        return found
+            yield from self._turning(place)
 
     def _turning(self, place: Axis) -> Iterator[Waves]:
         """A period along the travel whose amplitude another column changes, straight and curved."""
@@ -193,6 +207,8 @@ class Remainder:
     def _in_time(self, place: Axis | None, time: Axis) -> Iterator[Block]:
         """A state that switches or wanders: with the direction, or along the travel."""
         n = len(self.campaign)
+        if time.has_levels:
+            return
         falling = (time.waves(SWITCHING) / np.hypot(1.0, SWITCHING / 3.0)[None, :, None]).reshape(n, -1).astype(float)
         if self.d is not None:
             yield Block((time.name, "direction"), falling * self.d[:, None])
@@ -217,13 +233,16 @@ class Remainder:
 
     def best(self, fit: Fit, kept: int = 3) -> list[Ranked]:
         """The likeliest remainders beside a fit, as parts."""
-        found: list[tuple[float, float, Block]] = []
-        price = math.log(2.0 * sum(one.columns.shape[1] // one.k for one in self.waves) + 1.0)
-        for one in self.waves:
+        waves: list[tuple[float, Block]] = []
+        count = 0
+        for one in self.waves():
             gains = fit.gains(one.columns, one.k)
+            count += len(gains)
             at = int(np.argmax(gains))
             columns = one.columns[:, at * one.k : (at + 1) * one.k].astype(float)
-            found.append((float(gains[at]) - price, price, Block(one.names, columns)))
+            waves.append((float(gains[at]), Block(one.names, columns)))
+        price = math.log(2.0 * count + 1.0)
+        found = [(gain - price, price, block) for gain, block in waves]
         price = math.log(2.0 * sum(len(batch.blocks) for batch in self.batches) + 1.0)
         for batch in self.batches:
             gains = fit.random_gains(batch.columns, batch.k) - price
