@@ -129,6 +129,14 @@ def test_a_sensors_lag_does_not_begin_anew_in_the_rows_left_out() -> None:
     assert left_um < 1.4 * float(np.std(noise_um)), "begun anew in each run it is 2 to 8 times the noise"
 
 
+@pytest.mark.parametrize("jump_um", [1.5, 3.0])
+def test_where_the_file_holds_the_table_alone_after_is_what_was_before(jump_um: float) -> None:
+    found = diagnose(campaign(lambda c: wavy(c) + jump_um * (c["time_s"] > 300.0), runs=4))
+    assert found.findings
+    assert not found.extended.terms
+    assert np.array_equal(found.after_um, found.before_um)
+
+
 def test_the_worst_run_left_out_is_not_what_usually_remains() -> None:
     none = np.zeros(4)
     left = HeldOut(none, none, none, np.array([1.0, 1.0, 9.0, 9.0]), {}, none, none, none, np.array([0, 0, 1, 1]), "")

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.campaigns import campaign, wavy
+from support.docs import PAGES
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.model.evidence import Columns, Fit, Noise, Part, Profile, log_bayes, score
@@ -104,6 +105,9 @@ def test_the_factor_of_one_column_by_hand() -> None:
     by_hand = 0.5 * (2 - 1) * math.log(1 + g) - 0.5 * 2 * math.log(1 + 10.0)
     assert by_hand == pytest.approx(0.5 * math.log(344.3333) - math.log(11.0), abs=1e-4)
     assert float(log_bayes(np.array(left), 2, 1, 3)) == pytest.approx(by_hand)
+    page = PAGES["model"].read_text(encoding="utf-8")
+    assert f"left = {left:.4f}" in page
+    assert f"½ log {1 + g:.1f} - log 11 = {by_hand:.2f}" in page
 
 
 def test_the_best_noise_is_found_again_from_rows_that_have_it() -> None:
