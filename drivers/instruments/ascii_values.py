@@ -15,13 +15,10 @@ from dataclasses import dataclass
 from drivers.errors import InputError
 from drivers.instruments.lines import LineSplitter
 from drivers.instruments.values import BadLine, Fault, Value, ValueEvent
+from drivers.value_pattern import fault_pattern, value_pattern
 
 LONGEST_BYTES = 200
 
-PATTERNS: dict[str, str] = {
-    "mitutoyo": r"0\dA(?P<value>[+-](?=[\d.]{8}$)\d+\.\d+)",
-    "number": r"\s*+(?P<value>[+-]?\s*+\d+(\.\d+)?)\s*+(?P<unit>mm|um|\N{GREEK SMALL LETTER MU}m|in|inch|\")?\s*",
-}
 MM: dict[str, float] = {"mm": 1.0, "um": 1e-3, "\N{GREEK SMALL LETTER MU}m": 1e-3, "in": 25.4, "inch": 25.4, '"': 25.4}
 """Unit, case-folded (the micro sign becomes a mu), -> mm."""
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,2})?")
@@ -44,9 +41,8 @@ class AsciiSettings:
     def __post_init__(self) -> None:
         if self.unit.casefold() not in MM:
             raise InputError(f"unit is {self.unit!r}, expected one of {', '.join(MM)}")
-        if "value" not in _compiled("pattern", PATTERNS.get(self.pattern, self.pattern)).groupindex:
-            raise InputError(f"pattern {self.pattern!r} has no group (?P<value>…)")
-        _compiled("fault", self.fault)
+        value_pattern(self.pattern)
+        fault_pattern(self.fault)
 
 
 class AsciiDecoder:
@@ -54,8 +50,8 @@ class AsciiDecoder:
 
     def __init__(self, settings: AsciiSettings) -> None:
         self.settings = settings
-        self._pattern = _compiled("pattern", PATTERNS.get(settings.pattern, settings.pattern))
-        self._fault = _compiled("fault", settings.fault) if settings.fault else None
+        self._pattern = value_pattern(settings.pattern)
+        self._fault = fault_pattern(settings.fault)
         self.restart()
 
     @property
@@ -97,10 +93,3 @@ class AsciiDecoder:
             return BadLine(raw, f"has the unit {unit[:8]!r}, expected one of {', '.join(MM)}")
         value_mm = float(number) * MM[unit.casefold()]
         return Value(value_mm) if math.isfinite(value_mm) else BadLine(raw, "holds a number out of range")
-
-
-def _compiled(what: str, pattern: str) -> re.Pattern[str]:
-    try:
-        return re.compile(pattern, re.IGNORECASE)
-    except (re.error, RecursionError, OverflowError) as error:
-        raise InputError(f"{what} {pattern!r} is no regular expression: {error}") from error

@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 
 from drivers.toml_schema import Document
 from drivers.toml_types import File, Key, Limits, Name, Number, Positive, SchemaError, Text, Via, one_of
+from drivers.value_pattern import EXPECTED, fault_pattern, value_pattern
 from hil.axis.agreement import WITHIN_UM
 from hil.figures.alignment import Alignment
 from hil.figures.material import Material
@@ -73,7 +74,7 @@ class DisplayConfig:
     stop_bits: Annotated[int, one_of(1, 2)]
     count_mm: Annotated[float, Limits(ge=1e-6, le=1.0)] | None = None
     pulsed: bool = False
-    pattern: Annotated[Text, Limits(description="number, mitutoyo, or a regular expression")] = ""
+    pattern: Annotated[Text, Limits(description=EXPECTED)] = ""
     fault: Annotated[Text, Limits(description="a regular expression")] = ""
     unit: Annotated[str, one_of("mm", "um", "in")] = "mm"
     decimals: Annotated[int, Limits(ge=0, le=9)] | None = None
@@ -84,6 +85,9 @@ class DisplayConfig:
     def __post_init__(self) -> None:
         if self.pulsed and self.count_mm is not None:
             raise SchemaError("count_mm", "is for a count that is asked for, and a pulsed display sends what it shows")
+        if self.pattern:
+            value_pattern(self.pattern)
+        fault_pattern(self.fault)
 
 
 @dataclass(frozen=True)
@@ -166,7 +170,9 @@ def read_instrument(document: Document, *, has_port: bool) -> InstrumentConfig:
     if kind == "umd":
         usual |= {"compensate_air": True, "air_temp_channel": THERMOMETERS[0]}
     elif kind in _LINES:
-        usual["display"] = document.load(DisplayConfig, "instrument", only=only, beside=beside, usual=_LINES[kind])
+        needs = ("pattern",) if kind == "ascii" else ()
+        display = document.load(DisplayConfig, "instrument", only=only, needs=needs, beside=beside, usual=_LINES[kind])
+        usual["display"] = display
     elif kind == "replay":
         usual["replay"] = document.load(ReplayConfig, "instrument", only=only, beside=beside)
     return document.load(InstrumentConfig, "instrument", only=only, beside=beside, usual=usual)

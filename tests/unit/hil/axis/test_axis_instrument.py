@@ -80,6 +80,17 @@ def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
         ('kind = "nd2xx"\nplace_temps = { screw = 4 }', "unknown key place_temps"),
         ('kind = "nd2xx"\ncount_mm = 0', "count_mm is 0"),
         ('kind = "ascii"\nparity = "X"', "parity is X"),
+        ('kind = "ascii"', r"\[instrument\] lacks pattern, expected number, mitutoyo, .* such as .*\(\?P<value>"),
+        (
+            'kind = "ascii"\npattern = "x+"',
+            r"\[instrument\] pattern is 'x\+' and has no group .* such as .*\(\?P<value>",
+        ),
+        ('kind = "ascii"\npattern = "(?P<value>"', r"pattern is .* no regular expression: .* such as .*\(\?P<value>"),
+        ('kind = "ascii"\npattern = "(?P<wert>.*)"', r"pattern is .* has no group for the number"),
+        (
+            'kind = "ascii"\npattern = "number"\nfault = "*"',
+            r"\[instrument\] fault is '\*', which is no regular expression",
+        ),
         ('kind = "replay"', "lacks file"),
         ('kind = "replay"\nfile = "r.csv"\nport = "x"', "unknown key port"),
         (
