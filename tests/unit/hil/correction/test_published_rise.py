@@ -62,6 +62,13 @@ def test_the_ends_of_the_two_branches_differ_as_the_source_has_it() -> None:
     assert published_um(FORM, 1, 1e3, 5.0, 10.0) == pytest.approx(10.0)
 
 
+def test_after_one_partial_stroke_full_strokes_stay_short_for_good() -> None:
+    """Why nothing runs by it: the second branch ends at |Pbm|, so what a partial stroke lacks never comes back."""
+    partial, *full = published_moves(FORM, 0.0, -1, [0.8, -50.0, 50.0, -50.0, 50.0])
+    assert FORM.amount_2_um < partial.published_um < 0.9 * FORM.amount_um
+    assert [abs(move.published_um) for move in full] == pytest.approx([partial.published_um] * 4)
+
+
 def test_moves_carry_the_last_correction_and_the_last_stroke_by_hand() -> None:
     """6 mm up: 8·tanh 12 + 4·tanh 2.5 = 11.946457; back 0.5: (11.946457 - 4)·tanh 1 = 6.051975; up after 0.5 mm, half of b2,
     x't = 0.2: 2.051975·tanh 0.4 = 0.779646; that is below Pc2, and x't = 0.05·10: 12 - 0.779646 + 0.779646·tanh 0.25 = 11.411304.
