@@ -11,7 +11,7 @@
 - A stop is posted: it does not wait for the lock, the back-off, the silence or late replies.
 
 Every call ends, whatever the units do: an exchange takes at most the time-out (see `PymodbusWire`), and a call at most the
-exchanges of its repeats, of the repeats for a busy unit, and one before each of them that separates it from a late reply.
+exchanges of its repeats, of the time for a busy unit, and one before each of them that separates it from a late reply.
 While a drive is shut down they are fewer and shorter, within the time of its `WayOut`.
 """
 
@@ -47,13 +47,15 @@ _SILENCE_S = 0.01  # real time without a byte after which a serial line counts a
 class LinkPolicy:
     """Time-outs and repeats of a link. Times in s; `*_retries` are repeats after the first attempt.
 
+    busy_s: longest time that a busy unit is asked again: as long as a change of state may take by most register maps, and about as
+    long as a silent unit is waited for on TCP. While a unit is shut down it is the time that is left for that.
     quiet_s: silence on a serial line after a time-out. turn_s: longest wait for the line while other users have it, in real
     time; by default the time of three writes that are read back, with 0.5 s for each attempt.
     """
 
     read_retries: int = 2
     stop_retries: int = 2
-    busy_retries: int = 5
+    busy_s: float = 3.0
     busy_pause_s: float = 0.02
     backoff_first_s: float = 0.25
     backoff_max_s: float = 8.0
@@ -206,7 +208,13 @@ class ModbusLink:
 
     # -- reading and writing -----------------------------------------------------------------------------------------
     def read(
-        self, unit: int, table: Table, span: Span, *, urgent: bool = False, repeats: int | None = None
+        self,
+        unit: int,
+        table: Table,
+        span: Span,
+        *,
+        urgent: bool = False,
+        repeats: int | None = None,
     ) -> tuple[int, ...]:
         """Registers (or bits as 0 and 1), shape (span.count,).
 
@@ -252,9 +260,8 @@ class ModbusLink:
                 raise NoAnswerError(f"{error}; whether it was carried out is unknown") from error
 
     def _read(self, unit: int, request: Request, *, urgent: bool, repeats: int | None = None) -> tuple[int, ...]:
-        if repeats is None:
-            return self._attempts(unit, request, self.policy.read_retries, urgent=urgent)
-        return self._attempts(unit, request, repeats, urgent=urgent, blamed=repeats > 0)
+        own = self.policy.read_retries if repeats is None else repeats
+        return self._attempts(unit, request, own, urgent=urgent, blamed=repeats != 0)
 
     def _write_resolved(self, unit: int, request: Request, table: Table) -> None:
         """Send it once. Busy (exception 6) is a refusal: nothing was carried out, and the standard has the client ask again."""
@@ -283,12 +290,15 @@ class ModbusLink:
 
     def _await_carried_out(self, unit: int, request: Request, table: Table, error: AbortError) -> None:
         """Wait for a write that the unit has accepted and is still processing; it is not sent again."""
-        for _ in range(self._repeats(unit, self.policy.busy_retries) + 1):
+        deadline = self.clock.deadline(self._busy_s(unit))
+        while True:
             self.clock.sleep_s(self.policy.busy_pause_s)
             seen = self._read_back(unit, request, table, error)
             if seen == request.values:
                 self._count(resolved_writes=1)
                 return
+            if deadline.expired:
+                break
         raise NoAnswerError(f"{error}; still reads {_listed(seen)}, expected {_listed(request.values)}")
 
     def _attempts(
@@ -297,16 +307,17 @@ class ModbusLink:
         """blamed: failing starts the unit's back-off. A single lost write or read does not: it is followed by another request."""
         state = self._unit(unit)
         self._respect_backoff(state, f"Modbus {self.endpoint} unit {unit}", NoAnswerError, urgent=urgent)
-        tried = busy = 0
+        tried, busy_s = 0, self._busy_s(unit)
+        busy = self.clock.deadline(busy_s)
         while True:
             try:
                 values = self._exchange(unit, state, request, urgent=urgent)
             except AbortError as error:
                 self._heard(state)
-                asked_again = error.code == BUSY or (error.code == ACKNOWLEDGE and not request.function.is_write)
-                if not asked_again or busy >= self._repeats(unit, self.policy.busy_retries):
+                if error.code != BUSY and (error.code != ACKNOWLEDGE or request.function.is_write):
                     raise
-                busy += 1
+                if busy.expired:
+                    raise AbortError(f"{error}, asked again for {busy_s:.3g} s", error.code) from error
                 self.clock.sleep_s(self.policy.busy_pause_s)
             except (TransportError, ProtocolError) as error:
                 if tried >= self._repeats(unit, repeats):
@@ -318,6 +329,11 @@ class ModbusLink:
             else:
                 self._heard(state)
                 return values
+
+    def _busy_s(self, unit: int) -> float:
+        """Longest time that a busy unit is asked again, s."""
+        way_out = self._unit(unit).way_out
+        return self.policy.busy_s if way_out is None else way_out.busy_s(self.policy.busy_s)
 
     def _repeats(self, unit: int, own: int) -> int:
         state = self._unit(unit)

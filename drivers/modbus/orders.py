@@ -150,13 +150,16 @@ class Orders:
         return all_hold(conditions, self._access.of_conditions(conditions))
 
     def becomes(self, test: Evidence, timeout_s: float) -> bool:
-        """Sample until it is true; False when it is not in time (s). At least one sample, also where no time is left."""
+        """Sample until it is true; False when it is not in time (s). At least one sample, also where no time is left, and one that
+        is begun after it: a busy unit may keep the sample before."""
         deadline = self._clock.deadline(self._way_out.within_s(timeout_s))
-        while not test():
-            if deadline.expired:
+        while True:
+            last = deadline.expired
+            if test():
+                return True
+            if last:
                 return False
             self._clock.sleep_s(POLL_S)
-        return True
 
     def wait_for(self, conditions: tuple[Condition, ...], what: str, timeout_s: float, remedy: str = "") -> None:
         """Wait until the conditions hold. Raises MotionTimeoutError naming `what`, and the remedy, after `timeout_s`."""

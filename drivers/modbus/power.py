@@ -114,10 +114,11 @@ class PowerStates:
         timeout_s = self._way_out.within_s(timeout_s)
         deadline = self._unit.clock.deadline(timeout_s)
         while True:
+            last = deadline.expired
             state = self.state()
             if good(state):
                 return state
-            if deadline.expired:
+            if last:
                 raise MotionTimeoutError(
                     f"drive {self._unit.name}: {what} not within {timeout_s:.3g} s, it is {state.value}{remedy and '; ' + remedy}"
                 )

@@ -6,6 +6,7 @@ Stands between the link, which knows units and addresses, and the drive, which k
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 
 from drivers.errors import CapabilityError, InputError, ProtocolError
 from drivers.modbus.codec import Raw, decode, encode
@@ -49,10 +50,8 @@ class RegisterAccess:
         self, names: Sequence[str], *, urgent: bool = False, repeats: int | None = None
     ) -> dict[str, tuple[int, ...]]:
         """The registers' words by name."""
-        answers = [
-            (request, self.link.read(self.unit, request.table, request.span, urgent=urgent, repeats=repeats))
-            for request in self.plan(names).requests
-        ]
+        read = partial(self.link.read, self.unit, urgent=urgent, repeats=repeats)
+        answers = [(request, read(request.table, request.span)) for request in self.plan(names).requests]
         words: dict[str, tuple[int, ...]] = {}
         for name in names:
             register = self.registers[name]

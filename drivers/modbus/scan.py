@@ -26,8 +26,8 @@ from drivers.modbus.link import LinkPolicy, ModbusLink
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.register_access import RegisterAccess
 
-POLICY = LinkPolicy(read_retries=0, quiet_s=0.02)
-"""Policy of a link for scanning: a silent unit is asked once."""
+POLICY = LinkPolicy(read_retries=0, busy_s=0.0, quiet_s=0.02)
+"""Policy of a link for scanning: each unit is asked once; one that is busy is there."""
 
 _GATEWAY = (10, 11)  # exceptions that a gateway answers for a unit that does not
 

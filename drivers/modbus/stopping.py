@@ -246,7 +246,7 @@ class StoppableDrive(ServoDrive):
             )
 
     def _stop_shown(self) -> bool:
-        """Whether one sample, without repeats, shows the stop."""
+        """Whether one sample, without repeats, shows the stop; a busy unit, which drops a posted one, does not."""
         try:
             return self._stop_look().state is not DriveState.ENABLED
         except BridgeError:

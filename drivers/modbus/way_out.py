@@ -128,6 +128,10 @@ class WayOut:
         """Longest wait for a reply, s."""
         return max(_LEAST_REPLY_S, self.left_s()) if self._limits_requests() else math.inf
 
+    def busy_s(self, own_s: float) -> float:
+        """Longest time that a busy unit is asked again, s: all that is left, as the stop and the power go before everything else."""
+        return self.left_s() if self._limits_requests() else own_s
+
     def unanswered(self, waited_s: float) -> None:
         """A request was not answered for this much real time, s."""
         if self._limits_requests():

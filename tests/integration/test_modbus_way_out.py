@@ -135,6 +135,18 @@ def frozen(wire: FaultyWire, request: Request) -> tuple[int, ...]:
     )
 
 
+def busy_until(rig: Rig, end_s: float) -> None:
+    """Every request is refused as busy until this moment, a posted stop too, as while a drive keeps values in its EEPROM."""
+
+    def answer(wire: FaultyWire, request: Request) -> tuple[int, ...]:
+        if rig.clock.now_ns() < end_s * 1e9:
+            return busy(wire, request)
+        rig.wire.answer, rig.wire.deaf = None, False
+        return wire.honest(request)
+
+    rig.wire.answer, rig.wire.deaf = answer, True
+
+
 DEAF = {silent, dead_server, busy, writes_refused, writes_unexecuted}
 """Where no stop gets to the drive."""
 KINDS = [silent, replies_lost, dead_server, slow, busy, writes_refused, writes_unexecuted, frozen]
@@ -225,6 +237,47 @@ def test_the_way_out_ends_in_time_with_the_stop_first(kind: Answer, noticed: boo
         r.clock.sleep_s(3.0)
         if kind not in DEAF:
             assert r.servo.velocity_actual_counts_s == 0.0
+
+
+@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
+@pytest.mark.parametrize("busy_s", [0.3, 2.0, 5.0])
+@pytest.mark.parametrize("stopped", [True, False], ids=["stopped after an error", "disabled at once"])
+def test_a_busy_drive_is_stopped_and_disabled_once_it_takes_requests_again(
+    stopped: bool, busy_s: float, name: str
+) -> None:
+    with moving(name) as r:
+        began_s = 1e-9 * r.clock.now_ns()
+        busy_until(r, began_s + busy_s)
+        if stopped:
+            assert not way_out(r)
+        else:
+            r.drive.disable()
+            r.drive.close()
+        assert 1e-9 * r.clock.now_ns() - began_s < busy_s + 2.0  # and the time of braking
+        assert not r.servo.powered
+        assert r.servo.velocity_actual_counts_s == 0.0
+
+
+@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
+@pytest.mark.parametrize(
+    "order",
+    [
+        lambda drive: drive.start_move(100.0, 50.0),
+        lambda drive: drive.sample(),
+        lambda drive: (drive.disable(), drive.enable()),
+    ],
+    ids=["move", "sample", "enable"],
+)
+def test_an_order_to_a_busy_drive_is_given_again_for_as_long_as_it_may_take(
+    order: Callable[[ModbusDrive], object], name: str
+) -> None:
+    with moving(name) as r:
+        busy_until(r, 1e-9 * r.clock.now_ns() + 2.5)
+        order(r.drive)
+        assert r.drive.sample().state is DriveState.ENABLED
+        busy_until(r, 1e-9 * r.clock.now_ns() + 3.5)
+        with pytest.raises(AbortError, match="busy, asked again for 3 s"):
+            r.drive.sample()
 
 
 @pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
