@@ -142,7 +142,9 @@ def data_of(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> b
             shown = f"{drive.decode(parameter, data)!r}"
         except ProtocolError as error:
             shown = str(error)
-        raise InputError(f"value {entry.value!r} and raw {entry.raw!r} do not agree: raw is {shown}")
+        raise InputError(
+            f"value {entry.value!r} and raw {entry.raw!r} do not agree: raw is {shown}; remove raw to write the value"
+        )
     return data
 
 

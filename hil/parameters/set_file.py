@@ -232,6 +232,9 @@ def read_set(path: str | Path) -> ParameterSet:
         raise document.fail("identity.protocol", f"is {shown(file.identity.protocol)}, expected canopen or modbus")
     contents = ParameterSet(file.name, file.identity, entries, file.hash, Path(path))
     if file.hash is not None and file.hash != contents.digest():
-        what = "was changed after it was written: its hash does not fit; if you changed it yourself, remove the line"
+        what = (
+            "was changed after it was written: its hash does not fit; after an edit of your own remove this line, and `raw` from each"
+            " parameter whose `value` you changed"
+        )
         raise InputError(what, path=path, line=document.line(("hash",)))
     return contents

@@ -47,7 +47,13 @@ MEASUREMENT_OPTIONS = (
     ),
     Option("--delimiter", "delimiter", str, "csv, iso-wide: what parts the columns (default: found)"),
     Option("--decimal", "decimal", str, "csv, iso-wide, keysight, renishaw, lines: decimal mark, . (default) or ,"),
-    Option("--infer", "infer", None, "csv: read run and direction off the order of the targets", switch=True),
+    Option(
+        "--infer",
+        "infer",
+        None,
+        "csv: read run and direction off the order of the targets; refused where it does not say them",
+        switch=True,
+    ),
     Option("--cells", "cells", str, "iso-wide: deviation_um (default), deviation_mm or position_mm"),
     Option("--column", "columns", None, "csv: where a column stands"),
 )

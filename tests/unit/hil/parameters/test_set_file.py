@@ -87,6 +87,28 @@ def test_comments_and_blanks_are_free_but_values_are_not(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
+    ("entry", "edited"),
+    [
+        (SetEntry("2210h:01", 1000, 1000, "U32"), "1001"),
+        (SetEntry("torque_limit", 250.0, 2500, "u16", "percent"), "260.0"),
+        (SetEntry("2301h:00", "4142", "4142", "OCTET_STRING"), '"4143"'),
+    ],
+)
+def test_a_value_edited_alone_is_refused_with_what_to_change_and_read_after_that(
+    entry: SetEntry, edited: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "set.toml"
+    write_set(path, replace(SET, entries=(entry,)))
+    text = re.sub(r"value = [^,]*,", f"value = {edited},", path.read_text(encoding="utf-8"))
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match="remove this line, and `raw` from each parameter whose `value` you changed"):
+        read_set(path)
+    path.write_text(re.sub(r"(?m)^hash.*\n| raw = [^,]*,", "", text), encoding="utf-8")
+    (found,) = read_set(path).entries
+    assert (repr(found.value).replace("'", '"'), found.raw) == (edited, None)
+
+
+@pytest.mark.parametrize(
     ("line", "what"),
     [
         ("{ index = 0x2210, subindex = 1 }", "2210h:01 has neither value nor raw"),

@@ -624,7 +624,9 @@ def test_what_a_set_says_twice_has_to_agree() -> None:
         return [str(each) for each in match_set(drive, ParameterSet("s", None, (entry,)))[1]]
 
     assert told(SetEntry("a", 5, 5, "u16")) == []
-    assert told(SetEntry("a", 5, 6, line=4)) == ["line 4: a name of a: value 5 and raw 6 do not agree: raw is 6"]
+    assert told(SetEntry("a", 5, 6, line=4)) == [
+        "line 4: a name of a: value 5 and raw 6 do not agree: raw is 6; remove raw to write the value"
+    ]
     assert told(SetEntry("a", 5, type="U32")) == ["a name of a: is a U32 in the set, the drive's is a U16"]
     assert told(SetEntry("a", None, None)) == ["a name of a: has neither value nor raw"]
     assert told(SetEntry("z", 5, name="gain")) == ["z gain: the drive's file has no such parameter"]
