@@ -355,7 +355,7 @@ class BoundTables:
     """What a sealed file states of one axis's tables without a password; None where it does not state it.
 
     corrects_reversal: whether they take the reversal out, so that the drive must not do it too; separate: tables with a password of
-    their own
+    their own; lost_motion: whether one is stored beside them
     """
 
     axis: str
@@ -363,6 +363,7 @@ class BoundTables:
     made_with: MadeWith | None = None
     corrects_reversal: bool | None = None
     separate: tuple[str, ...] = ()
+    lost_motion: bool = False
 
     def warning(self, where: str) -> str | None:
         """That the drive's parameters are not stated, None where they are."""
@@ -389,7 +390,9 @@ def _bound_in(path: Path, axis: str, builder_public: Ed25519PublicKey) -> BoundT
         return None
     with naming(path):
         info = check(read_bytes(path), builder_public)
-        return _bound(info.binding, axis) if f"{axis}.tables" in info.entries else None
+        if f"{axis}.tables" not in info.entries:
+            return None
+        return replace(_bound(info.binding, axis), lost_motion=f"{axis}.lost-motion" in info.entries)
 
 
 def _bound(binding: Binding | None, axis: str) -> BoundTables:

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from support.two_axes import lay_out_axes
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.published_rise import TwoTanh
-from hil.correction.rise import rise_of
+from hil.correction.rise import TANH, Rise, rise_of
 from hil.correction.store import SealedStore
 from hil.records.rows import read_csv
 from sim_backends.bench import known_bench
@@ -55,6 +56,32 @@ def test_dry_runs_touch_nothing(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert main(["circle", str(x), str(y), "--feed", "700"]) == 2
     assert "a circle of 10 mm takes up to 613.9 mm/min" in capsys.readouterr().err
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.parametrize(
+    ("rising", "how"),
+    [
+        ("", "uncorrected, then with the tables of X and Y: 44 s each"),
+        ("X", "uncorrected, then with the tables of X and Y, then with these and the lost motion of X: 44 s each"),
+        (
+            "XY",
+            "uncorrected, then with the tables of X and Y, then with these and the lost motion of X and Y: 44 s each",
+        ),
+    ],
+)
+def test_a_dry_run_promises_what_is_stored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rising: str, how: str
+) -> None:
+    axes, typed = lay_out_axes(tmp_path, "virtual", lost_motion=""), tmp_path / "typed.csv"
+    typed.write_text("position_mm,plus_um,minus_um\n20,1,2\n260,3,4\n")
+    for path in axes:
+        assert main(["calibrate", str(path), "--manual", str(typed)]) == 0
+        if path.stem in rising:
+            store = stored(path)
+            store.save(replace(store.load(), rise=Rise(TANH, (8.0,), (0.5,))))
+    capsys.readouterr()
+    assert main(["circle", *map(str, axes), "--dry-run"]) == 0
+    assert f"would drive 10 mm counter-clockwise at 100 mm/min, {how}" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

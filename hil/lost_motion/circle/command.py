@@ -117,11 +117,13 @@ def _print_plan(axes: tuple[AxisConfig, AxisConfig], circle: Circle, args: argpa
             f" {axis.measurement.reference_mm:g} mm, and move between {low:g} and {high:g} mm (corrections come on top)"
         )
     sense = "counter-clockwise" if circle.sense > 0 else "clockwise"
-    there = [axis.name for axis in axes if bound_tables(axis) is not None]
-    how = (
-        f"uncorrected, then with what is stored for {' and '.join(there)} (tables, then lost motion)"
-        if there
-        else "uncorrected"
+    stored = {axis.name: None if args.uncorrected else bound_tables(axis) for axis in axes}
+    tables = [name for name, bound in stored.items() if bound is not None]
+    lost_motion = [name for name, bound in stored.items() if bound is not None and bound.lost_motion]
+    how = ", then ".join(
+        ["uncorrected"]
+        + ([f"with the tables of {' and '.join(tables)}"] if tables else [])
+        + ([f"with these and the lost motion of {' and '.join(lost_motion)}"] if lost_motion else [])
     )
     print(
         f"would drive {circle.radius_mm:g} mm {sense} at {60 * circle.feed_mm_s:g} mm/min, {how}:"

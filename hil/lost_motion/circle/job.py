@@ -35,7 +35,7 @@ Axes = tuple[AxisConfig, AxisConfig]
 @dataclass(frozen=True)
 class DrivenCircle:
     """The result. runs: by name, the uncorrected one first; kept: the folder with the positions; without: names of axes that
-    nothing is stored for, which drove every circle uncorrected
+    nothing is stored for, which drove every circle uncorrected; by_tables: of axes without a stored lost motion, which others have
     """
 
     axes: Axes
@@ -43,6 +43,7 @@ class DrivenCircle:
     runs: Mapping[str, CircleRun]
     kept: Path
     without: tuple[str, ...] = ()
+    by_tables: tuple[str, ...] = ()
 
     @property
     def traces(self) -> dict[str, Trace]:
@@ -89,16 +90,28 @@ class DrivenCircle:
         )
         if abs(after.bump_mean_um - tables.bump_mean_um) <= max(tables.floor_um, after.floor_um):
             return f"{figures}: the two corrections differ by less than the floor"
+        tables_g_um, after_g_um = (round(by_standard(one, self.circle).paths[0].G_um, 2) for one in (tables, after))
+        figures = f"{figures}; G {tables_g_um:.2f} µm by tables, {after_g_um:.2f} with the lost motion"
         better = after.bump_mean_um < tables.bump_mean_um
+        if (after_g_um > tables_g_um) if better else (after_g_um < tables_g_um):
+            fewer, rounder = ("with the lost motion", "by tables") if better else ("by tables", "with the lost motion")
+            return f"{figures}: on this circle neither did better, the bumps are smaller {fewer}, and G is {rounder}"
         return f"{figures}: on this circle {'the lost motion' if better else 'the tables alone'} did better"
 
     @property
     def uncorrected(self) -> str:
-        """Which axes drove every circle uncorrected, in a sentence; empty where each had a correction."""
-        if not self.without:
-            return ""
-        names = " and ".join(self.without)
-        return f"axis {names} drove uncorrected throughout: no correction of it was in force (hil calibrate makes one)"
+        """Which axes had no correction, or no lost motion where another had one, in a sentence; empty where each had all."""
+        said = []
+        if self.without:
+            names = " and ".join(self.without)
+            said.append(
+                f"axis {names} drove uncorrected throughout: no correction of it was in force (hil calibrate makes one)"
+            )
+        if self.by_tables:
+            said.append(
+                f"axis {' and '.join(self.by_tables)} drove by tables alone: no lost motion of it is stored (hil lost-motion)"
+            )
+        return "; ".join(said)
 
     @property
     def missed(self) -> int:
@@ -157,7 +170,8 @@ def run_circle(
         campaign.write(f"{name}.csv", _csv(runs[name], axes))
         listener(Event(stage, found=Measured(name, runs[name].trace.bump_mean_um, "µm")))
     without = tuple(axis.name for axis, one in zip(axes, stored, strict=True) if one is None)
-    return DrivenCircle(axes, circle, runs, campaign.directory, without)
+    by_tables = tuple(axis.name for axis, one in zip(axes, stored, strict=True) if one is not None and one.rise is None)
+    return DrivenCircle(axes, circle, runs, campaign.directory, without, by_tables if TABLES in runs else ())
 
 
 def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None], *, period_s: float = PERIOD_S) -> Job:

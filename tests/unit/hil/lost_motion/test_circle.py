@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from drivers.errors import InputError
 from hil.lost_motion.circle.figures import Circle, Trace, by_standard, ring_of, trace_of
+from hil.lost_motion.circle.job import AFTER, BEFORE, TABLES, Axes, DrivenCircle
+from hil.lost_motion.circle.procedure import CircleRun
 
 CENTRE = (120.0, 80.0)
 
@@ -113,3 +119,42 @@ def test_what_is_no_circle_or_has_no_samples_is_refused() -> None:
     half = Trace(np.linspace(0.0, 92.5, 500), np.zeros(500))
     with pytest.raises(InputError, match="no samples around 180°"):
         half.bump_um(180.0)
+
+
+def shaped(bump_um: float, ellipse_um: float) -> Trace:
+    """Bumps after each quadrant, and an ellipse: it counts in G and hardly in the bumps."""
+
+    def off_um(angle_deg: float) -> float:
+        past = angle_deg % 90.0
+        bump = bump_um * math.sin(math.pi * past / 8.0) if past < 8.0 else 0.0
+        return bump + ellipse_um * math.cos(2.0 * math.radians(angle_deg))
+
+    return driven(off_um, Circle(CENTRE))
+
+
+@pytest.mark.parametrize(
+    ("tables", "after", "says"),
+    [
+        ((6.0, 0.5), (1.0, 0.5), "on this circle the lost motion did better"),
+        ((1.0, 0.5), (6.0, 0.5), "on this circle the tables alone did better"),
+        ((6.0, 0.5), (1.0, 6.0), "neither did better, the bumps are smaller with the lost motion, and G is by tables"),
+        ((1.0, 6.0), (6.0, 0.5), "neither did better, the bumps are smaller by tables, and G is with the lost motion"),
+        ((3.0, 0.5), (3.0, 9.0), "differ by less than the floor"),
+    ],
+)
+def test_better_is_what_the_bumps_and_the_circular_deviation_both_say(
+    tables: tuple[float, float], after: tuple[float, float], says: str
+) -> None:
+    axes = cast(Axes, tuple(SimpleNamespace(name=name) for name in "XY"))
+    runs = {
+        name: CircleRun(shaped(*shape), np.zeros(0), np.zeros((0, 2)), 0)
+        for name, shape in ((BEFORE, (12.0, 0.5)), (TABLES, tables), (AFTER, after))
+    }
+    one = DrivenCircle(axes, Circle(CENTRE), runs, Path("circle-001"), by_tables=("Y",))
+    assert says in one.comparison
+    figures = re.search(r"G (\S+) µm by tables, (\S+) with the lost motion", one.comparison)
+    assert (figures is None) == ("floor" in says)
+    if figures is not None:
+        seen = [float(figure) for figure in figures.groups()]
+        assert seen == [round(by_standard(runs[name].trace, one.circle).paths[0].G_um, 2) for name in (TABLES, AFTER)]
+    assert one.uncorrected == "axis Y drove by tables alone: no lost motion of it is stored (hil lost-motion)"
