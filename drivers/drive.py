@@ -18,11 +18,13 @@ from typing import Self
 from drivers.clock import NS_PER_S, Clock
 from drivers.correction_table import CorrectionTable
 from drivers.errors import (
+    AbortError,
     CapabilityError,
     DriveFaultError,
     InputError,
     LimitError,
     MotionTimeoutError,
+    ProtocolError,
     StateError,
 )
 from drivers.parameters import DriveParameters
@@ -31,6 +33,13 @@ from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
 from drivers.shared_time import SharedTime
 from drivers.toml_types import Number, Positive
 from drivers.touch_probe import TouchProbe
+
+TAKES_THE_PLACE = (35, 37)
+"""Homing methods (6098h) that do not move. 1 to 34 search a switch or the index, so they move; negative ones are the maker's."""
+_HOMING_SHARE = 0.1
+"""Share of the axis's largest velocity that an unknown speed to the home position is taken for."""
+_LATCH_S = 0.05
+"""Time that a drive may take to begin to brake after the home position, s: five slow control cycles."""
 
 
 class DriveState(Enum):
@@ -140,11 +149,17 @@ class DriveZero:
 @dataclass(frozen=True)
 class HomingSpeeds:
     """Speeds of a drive's next homing, mm/s: towards the switch, and to the edge or the index; None where it is not known. turn_mm:
-    travel of one turn of the motor."""
+    travel of one turn of the motor; ramp_mm_s2: its acceleration."""
 
     switch_mm_s: float | None = None
     zero_mm_s: float | None = None
     turn_mm: float = 0.0
+    ramp_mm_s2: float | None = None
+
+    def stop_mm(self, limits: DriveLimits) -> float:
+        """Longest way from the home position to where the axis comes to rest, mm; of what is not known, by the limits of the axis."""
+        speed = self.zero_mm_s or self.switch_mm_s or _HOMING_SHARE * limits.max_velocity_mm_s
+        return speed * speed / (2.0 * (self.ramp_mm_s2 or limits.max_acceleration_mm_s2)) + _LATCH_S * speed
 
 
 class ServoDrive(ABC):
@@ -152,7 +167,8 @@ class ServoDrive(ABC):
 
     corrected_outside: the caller adds a correction to the set-points at present; the drive's own table is then not switched on.
     on_look: called with each sample that the supervising code has taken. before_homing: called before any homing; refuses it by
-    raising. destination_load_mm: target of the last profile move, load mm.
+    raising. homed_elsewhere: called when a homing has ended in another frame than announced.
+    destination_load_mm: target of the last profile move, load mm.
     falls_without_power: gravity can move the axis and no brake holds it; its power is taken off only once it was seen at rest.
     """
 
@@ -161,6 +177,7 @@ class ServoDrive(ABC):
     falls_without_power = False
     on_look: Callable[[DriveSample], None] | None = None
     before_homing: Callable[[], None] | None = None
+    homed_elsewhere: Callable[[], None] | None = None
     destination_load_mm: float | None = None
 
     def __init__(self, name: str, scaling: AxisScaling, limits: DriveLimits, clock: Clock) -> None:
@@ -330,6 +347,31 @@ class ServoDrive(ABC):
 
     @abstractmethod
     def _start_homing(self) -> None: ...
+
+    def check_home(self, shown_load_mm: float) -> None:
+        """For a backend whose homing has just ended: compare the place that it shows, mm, with the one that was announced.
+
+        Makers differ in the sign of the home offset. Raises ProtocolError; the drive's positions are then not the axis's.
+        """
+        try:
+            zero = self.zero()
+        except AbortError:  # nothing was announced
+            return
+        announced_mm = zero.home_position_mm
+        if not announced_mm:
+            return
+        stop_mm = 0.0 if zero.method in TAKES_THE_PLACE else self.homing_speeds().stop_mm(self.limits)
+        near_mm = max(stop_mm, 0.5 * abs(announced_mm))
+        if abs(shown_load_mm - announced_mm) <= near_mm:
+            return
+        if self.homed_elsewhere is not None:
+            self.homed_elsewhere()
+        other = abs(shown_load_mm + announced_mm) <= near_mm
+        sign = ", the other sign: its zero lies the home offset from home" if other else ""
+        raise ProtocolError(
+            f"drive {self.name}: homing is refused: its home position was to show {announced_mm:g} mm and shows {shown_load_mm:.4g}"
+            f" mm{sign}; set home_position_mm = 0 (607Ch) and the travel from there"
+        )
 
     def start_move(self, position_load_mm: float, velocity_mm_s: float) -> None:
         """Start a profile move to an absolute position (mm, mm/s); returns once the drive has acknowledged the set-point.

@@ -312,6 +312,9 @@ class CanOpenDrive(StoppableDrive):
             speed(asked.speed_switch_mm_s, objects.HOMING_SPEED_SWITCH),
             speed(asked.speed_zero_mm_s, objects.HOMING_SPEED_ZERO),
             scaling.encoder_counts_per_motor_rev * scaling.resolution_load_mm,
+            None
+            if self.units.ambiguous
+            else self.units.mm_s2(self.sdo.read_if_shown(objects.HOMING_ACCELERATION, 0)) or None,
         )
 
     def says_homed(self) -> bool | None:

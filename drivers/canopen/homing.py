@@ -25,14 +25,13 @@ from drivers.canopen.power import PowerStage
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import HomingSettings
 from drivers.clock import NS_PER_S
+from drivers.drive import TAKES_THE_PLACE
 from drivers.errors import AbortError, CapabilityError, DriveFaultError
 from drivers.scaling import MotionScaling
 
 ATTAINED_S = 0.25
 """Time for which an axis at rest must show the end if no homing was seen in progress, s: far more than a drive takes to begin a homing
 and to show it (a control cycle, one to ten ms), and than an axis takes to be seen moving."""
-TAKES_THE_PLACE = (35, 37)
-"""Methods of 6098h that do not move. 1 to 34 search a switch or the index and move in any case; negative ones are the maker's."""
 SAME_PLACE = 2
 """Tolerance of the position of an axis at rest, counts: it may stand between two counts of its encoder."""
 

@@ -107,8 +107,8 @@ class StoppableDrive(ServoDrive):
         """A fresh sample by SYNC. following_error_mm is demand − actual, as in 60F4h, mm.
 
         Raises NoAnswerError when the node does not answer SYNC (twice), LinkLostError when its heartbeat stopped or it restarted,
-        DriveFaultError once when a homing that was started failed, LimitError (with a halt) when the drive limits the target of the
-        move in progress.
+        DriveFaultError once when a homing that was started failed, ProtocolError once when it ended elsewhere than announced,
+        LimitError (with a halt) when the drive limits the target of the move in progress.
         """
         self._require_open()
         self.sampler.refresh()
@@ -122,7 +122,12 @@ class StoppableDrive(ServoDrive):
             self._fault_code = None
         velocity = self.sampler.values.get(objects.VELOCITY_ACTUAL)
         slow = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
+        homing = self.homing.under_way
         self.homing.look(self.sampler.heard_ns, status, self.sampler.position_counts, slow=slow)
+        if homing and self.homing.homed:
+            self.homing.homed = False
+            self.check_home(self.scaling.load_mm(self.sampler.position_counts))
+            self.homing.homed = True
         self.motion.look(status)
         return self._as_sample()
 

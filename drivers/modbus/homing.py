@@ -21,12 +21,13 @@ _ATTAINED_S = 0.5
 class Homing:
     """Homing of one drive. homed: since it was opened, or as the drive reports, None while that is unknown.
 
-    under_way: begun, and its end not seen yet. post_stop(): sends the stop.
+    under_way: begun, and its end not seen yet. elsewhere: the last one ended in another frame than announced.
+    post_stop(): sends the stop.
     """
 
     def __init__(self, unit: Unit, *, post_stop: Callable[[], None]) -> None:
         self.homed: bool | None = None
-        self.under_way = False
+        self.under_way = self.elsewhere = False
         self._unit = unit
         self._post_stop = post_stop
         self._attained_gone = False  # whether the "homing attained" of the last homing has gone since this one started
@@ -34,7 +35,7 @@ class Homing:
 
     def forget(self) -> None:
         """For a new connection: nothing is known of earlier homings."""
-        self.homed, self.under_way = None, False
+        self.homed, self.under_way, self.elsewhere = None, False, False
 
     def begin(self, homing: HomingMap, take_power: Callable[[], None]) -> None:
         """Order it and wait until the drive shows it in progress, or attained for long enough. take_power(): for a drive that homes as
@@ -42,7 +43,7 @@ class Homing:
         orders = self._unit.orders
         orders.give(homing.release)
         orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
-        self.homed = False
+        self.homed = self.elsewhere = False
         if homing.at_power_on:
             take_power()
             orders.remember([write.register for write in homing.start if write.mask is None])
@@ -77,7 +78,7 @@ class Homing:
             if self._unit.values.load_mm(raw, self._unit.map.velocity) != 0.0:
                 self._post_stop()
             raise DriveFaultError(f"drive {self._unit.name}: homing failed", self._unit.values.fault_code(raw))
-        attained = hold(homing.attained, raw)
+        attained = hold(homing.attained, raw) and not self.elsewhere
         if self.under_way and not (self._is_of_this_homing(attained, time_ns, position_mm) and attained):
             return
         self.under_way, self.homed = False, attained

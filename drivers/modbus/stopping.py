@@ -120,7 +120,12 @@ class StoppableDrive(ServoDrive):
             self.homing.under_way = False
         position_mm = self.scaling.load_mm(values.position_counts(raw))
         velocity_mm_s = values.load_mm(raw, self.map.velocity)
+        homing = self.homing.under_way
         self.homing.look(raw, time_ns, position_mm)
+        if homing and self.homing.homed:
+            self.homing.homed, self.homing.elsewhere = False, True
+            self.check_home(position_mm)
+            self.homing.homed, self.homing.elsewhere = True, False
         return DriveSample(
             time_ns=time_ns,
             state=state,

@@ -248,9 +248,7 @@ def _moved_in_doubt(session: AxisSession, *, home: bool) -> list[Check]:
         if all(check.good for check in checks) and "stop" in drive.unproven():
             checks.append(_stop(session))
         if home and all(check.good for check in checks):
-            session.supervisor.home()
-            at_mm = drive.sample().position_load_mm
-            checks.append(Check("homing", True, f"homed, and stands at {at_mm:.4f} mm of the drive's new zero"))
+            checks.append(_homed(session))
         return checks
     except (OverspeedError, MotionTimeoutError) as error:
         return [Check("speed", False, f"{error}; the axis was stopped")]
@@ -259,6 +257,15 @@ def _moved_in_doubt(session: AxisSession, *, home: bool) -> list[Check]:
     finally:
         if enabled_here:
             drive.disable()
+
+
+def _homed(session: AxisSession) -> Check:
+    try:
+        session.supervisor.home()
+    except RemoteError as error:
+        return Check("homing", False, str(error))
+    at_mm = session.drive.sample().position_load_mm
+    return Check("homing", True, f"homed, and stands at {at_mm:.4f} mm of the drive's new zero")
 
 
 def _proofs(session: AxisSession) -> list[Check]:

@@ -69,7 +69,7 @@ class Reference:
 @dataclass(frozen=True)
 class Zero:
     """One zero of one axis. drive: identity of the drive that made it; homes: by its own homing, with method and home
-    position (load mm); made: in UTC.
+    position (load mm); made: in UTC; refused: its homing ended elsewhere than announced, and the drive may call itself homed.
     """
 
     id: str
@@ -80,6 +80,7 @@ class Zero:
     method: int | None = None
     home_position_mm: float | None = None
     reference: Reference | None = None
+    refused: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """The form of a zero file."""
@@ -231,6 +232,7 @@ class ZeroKeeper:
     def guard(self, drive: ServoDrive) -> None:
         """Makes the drive refuse, for every caller, a homing that would lose the zero."""
         drive.before_homing = lambda: self._before_homing(drive)
+        drive.homed_elsewhere = self._homed_elsewhere
 
     # -- before anything moves -----------------------------------------------------------------------------------------------
     def begin(
@@ -252,7 +254,9 @@ class ZeroKeeper:
         known = self.kept(rows, tables)
         now = drive.zero()
         place = homes and now.method in POSITION_DEPENDENT_METHODS
-        asks = not self.anew and (place or (not homes and known is not None))
+        asks = (
+            not self.anew and not (known is not None and known.refused) and (place or (not homes and known is not None))
+        )
         absolute = asks and self._absolute and known is not None
         self._says_homed = asks and not absolute and drive.says_homed() is True
         homed = absolute or self._says_homed
@@ -345,6 +349,10 @@ class ZeroKeeper:
         if self.current is not None and (self.anew or not self.path.exists()):
             write_zero(self.path, self.current)  # before the order: killed after it, the zero is a new one
 
+    def _homed_elsewhere(self) -> None:
+        if self.current is not None:
+            write_zero(self.path, replace(self.current, refused=True))
+
     # -- at the reference position ------------------------------------------------------------------------------------------
     def at_reference(self, motor_mm: float, instrument_mm: float, sequence: int | None, rate_hz: float | None) -> None:
         """Checks a reading at the reference position against the earlier one, or stores it where there is none or the
@@ -375,7 +383,7 @@ class ZeroKeeper:
                 f" switch, and its drive {self._drive_statement}: nothing shows that it is the same ([axis] absolute_encoder = true"
                 f" where the drive keeps it){self._new_zero_hint}"
             )
-        self.current = replace(current, reference=found)
+        self.current = replace(current, reference=found, refused=False)
         write_zero(self.path, self.current)
         if self._campaign is not None and not (self._campaign / FILE).exists():
             write_zero(self._campaign / FILE, self.current)

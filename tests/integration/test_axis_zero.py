@@ -17,9 +17,10 @@ from support import bench_axis
 
 import hil.machine.wiring
 from drivers.drive import DriveState
+from drivers.errors import ProtocolError
 from hil.app.jobs.zero_statement import ZeroStatement
 from hil.app.terminal.main import main
-from hil.axis.axis_file import AxisConfig, load_axis
+from hil.axis.axis_file import AxisConfig, HomingConfig, load_axis
 from hil.calibration.explore import Exploration
 from hil.calibration.job import run_calibration, run_verification
 from hil.correction.compensation import Compensation
@@ -165,6 +166,29 @@ def test_resume_goes_on_in_the_same_zero_or_not_at_all(site: Make, homing: str, 
     assert high <= TRAVEL_MM[1]
     assert here.bench.servo.position_actual_counts / 1e5 == pytest.approx(here.motor_mm(), abs=0.006)
     assert len(rows_of(here)) > len(before)
+
+
+@pytest.mark.parametrize("method", [37, 17])
+def test_a_homing_that_ended_in_another_frame_is_refused_and_not_believed_later(site: Make, method: int) -> None:
+    """The drive takes 607Ch with the other sign: nothing moves in that frame, now or when the drive says that it is homed."""
+    here = site("37" if method == 37 else "17")
+    here.axis = replace(here.axis, drive=replace(here.axis.drive, homing=HomingConfig(method, home_position_mm=20.0)))
+    servo = here.bench.servo
+    plain = servo.start_homing
+    servo.start_homing = lambda how, fast, slow, offset: plain(how, fast, slow, -offset)  # type: ignore[method-assign]
+    with here.machine() as machine:
+        checks = {check.name: check for check in doctor(machine.session, home=True)}
+    assert checks["zero"].good
+    assert not checks["homing"].good
+    assert "was to show 20 mm and shows -" in checks["homing"].detail
+    here.moved()
+    error, words = (ZeroError, "--new-zero") if method == 37 else (ProtocolError, "the other sign")
+    for _ in range(2):
+        with here.machine() as machine, pytest.raises(error, match=words):
+            machine.session.prepare()
+        low, high = here.moved()
+        assert high - low < (0.01 if method == 37 else 10.0)  # nothing but the way to the switch
+        here.bench.clock.sleep_s(1.0)
 
 
 @pytest.mark.parametrize("verb", VERBS)

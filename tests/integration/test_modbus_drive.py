@@ -279,6 +279,34 @@ def test_a_travel_that_the_registers_do_not_hold_is_refused_before_a_request(
         drive.open()
 
 
+@pytest.mark.parametrize("name", [CIA402, VENDOR])
+@pytest.mark.parametrize("home_mm", [-5.0, 120.0, 0.9])
+@pytest.mark.parametrize("sign", [1, -1, 0])
+def test_the_place_after_a_homing_is_the_one_that_the_drive_announced(name: str, home_mm: float, sign: int) -> None:
+    with rig(name) as r, r.drive as drive:
+        homing = drive.map.homing
+        assert homing is not None
+        assert homing.home_position is not None
+        drive.parameters.write(homing.home_position, 10_000 * home_mm)
+        assert drive.zero().home_position_mm == pytest.approx(home_mm)
+        plain = r.servo.start_homing
+        r.servo.start_homing = lambda how, fast, slow, offset: plain(how, fast, slow, sign * offset)  # type: ignore[method-assign]
+        drive.enable()
+
+        def home() -> None:
+            drive.start_homing()
+            drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+
+        if sign == 1:
+            home()
+            assert drive.sample().position_load_mm == pytest.approx(home_mm, abs=0.01)
+            return
+        with pytest.raises(ProtocolError, match=rf"was to show {home_mm:g} mm and shows"):
+            home()
+        assert drive.sample().homed is False
+        assert drive.sample().homed is False
+
+
 def test_a_drive_that_says_it_is_there_and_does_not_move_is_found_out() -> None:
     with rig(CIA402) as r, r.drive as drive:
         drive.enable()

@@ -441,6 +441,58 @@ def test_homing_and_waiting(make: MakeRig) -> None:
     assert sample.position_load_mm == pytest.approx(12.0, abs=1e-3)
 
 
+def _other_sign(offset: int) -> int:
+    return -offset
+
+
+def _ignored(_offset: int) -> int:
+    return 0
+
+
+def _other_unit(offset: int) -> int:
+    return 10 * offset
+
+
+def _as_announced(offset: int) -> int:
+    return offset
+
+
+@pytest.mark.parametrize("method", [37, 35, 17, 1])
+@pytest.mark.parametrize("home_mm", [-5.0, 120.0, 0.9])
+@pytest.mark.parametrize("taken", [_as_announced, _other_sign, _ignored, _other_unit])
+def test_the_place_after_a_homing_is_the_one_announced(
+    make: MakeRig, method: int, home_mm: float, taken: Callable[[int], int]
+) -> None:
+    """Elmo, Parker and Applied Motion define the zero as home + 607Ch, so that home shows -607Ch; others show 607Ch there."""
+    rig = make(
+        homing=HomingSettings(method, speed_switch_mm_s=100.0, speed_zero_mm_s=5.0, home_position_mm=home_mm),
+        parameters={(0x609A, 0): 2_000_000},
+    )
+    servo = rig.bench.servo
+    plain = servo.start_homing
+    servo.start_homing = lambda how, fast, slow, offset: plain(how, fast, slow, taken(offset))  # type: ignore[method-assign]
+    drive = rig.enabled()
+    if taken is _as_announced:
+        assert drive.home(60.0).position_load_mm == pytest.approx(home_mm, abs=0.3)
+        return
+    with pytest.raises(ProtocolError, match=rf"was to show {home_mm:g} mm and shows") as caught:
+        drive.home(60.0, attempts=3)
+    assert ("the other sign" in str(caught.value)) is (taken is _other_sign)
+    rig.run(0.5)
+    assert drive.sample().homed is False
+    assert servo.velocity_actual_counts_s == 0
+
+
+def test_an_offset_shorter_than_the_way_to_rest_has_no_sign(make: MakeRig) -> None:
+    """An offset of 0.02 mm and a stop of 0.3 mm behind the switch: which sign it has cannot be seen."""
+    for home_mm in (0.02, -0.02, 0.0):
+        rig = make(
+            homing=HomingSettings(17, speed_switch_mm_s=50.0, speed_zero_mm_s=10.0, home_position_mm=home_mm),
+            parameters={(0x609A, 0): 2_000_000},
+        )
+        assert rig.enabled().home(60.0).homed is True
+
+
 def test_a_homing_that_does_not_end_is_stopped(make: MakeRig) -> None:
     rig = make(homing=HomingSettings(method=17, speed_switch_mm_s=1.0))
     drive = rig.enabled()
