@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from drivers.clock import Clock
-from drivers.errors import MotionTimeoutError, NoAnswerError, StateError
+from drivers.errors import AbortError, MotionTimeoutError, NoAnswerError, StateError
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import all_hold
 from drivers.modbus.map_roles import Condition, Write
 from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.way_out import WayOut
+from drivers.modbus.wire import BUSY
 from drivers.undo import undo_all
 
 POLL_S = 0.005
@@ -150,16 +151,8 @@ class Orders:
         return all_hold(conditions, self._access.of_conditions(conditions))
 
     def becomes(self, test: Evidence, timeout_s: float) -> bool:
-        """Sample until it is true; False when it is not in time (s). At least one sample, also where no time is left, and one that
-        is begun after it: a busy unit may keep the sample before."""
-        deadline = self._clock.deadline(self._way_out.within_s(timeout_s))
-        while True:
-            last = deadline.expired
-            if test():
-                return True
-            if last:
-                return False
-            self._clock.sleep_s(POLL_S)
+        """Sample until it is true; False when it is not in time (s)."""
+        return comes_true(test, self._way_out.within_s(timeout_s), self._clock)
 
     def wait_for(self, conditions: tuple[Condition, ...], what: str, timeout_s: float, remedy: str = "") -> None:
         """Wait until the conditions hold. Raises MotionTimeoutError naming `what`, and the remedy, after `timeout_s`."""
@@ -170,6 +163,23 @@ class Orders:
             raise MotionTimeoutError(
                 f"drive {self._name}: {what} not within {timeout_s:.3g} s, it is {self._shown_state()}{remedy and '; ' + remedy}"
             )
+
+
+def comes_true(test: Evidence, timeout_s: float, clock: Clock) -> bool:
+    """Sample until it is true; False when it is not in time (s). At least one sample, also where no time is left; a unit that is busy
+    has not done it yet."""
+    deadline = clock.deadline(timeout_s)
+    while True:
+        last = deadline.expired
+        try:
+            if test():
+                return True
+        except AbortError as error:
+            if last or error.code != BUSY:
+                raise
+        if last:
+            return False
+        clock.sleep_s(POLL_S)
 
 
 def hold(conditions: tuple[Condition, ...], raw: dict[str, Raw]) -> bool:

@@ -12,6 +12,7 @@ from drivers.drive import DriveState
 from drivers.errors import AbortError, CapabilityError, InputError, MotionTimeoutError, ProtocolError, StateError
 from drivers.modbus.codec import OrderMatch, Raw, RegisterType, decode, encode, probe_order
 from drivers.modbus.drive_map import DriveMap, Ratio, all_hold
+from drivers.modbus.orders import comes_true
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, Register, Value
 from drivers.modbus.wear import WearLedger
@@ -135,11 +136,10 @@ class ModbusParameters(DriveParameters):
             raise StateError(f"drive {self._drive} is enabled; disable it before storing parameters")
         for write in store.writes:
             self._access.command(write)
-        deadline = self._clock.deadline(store.timeout_s)
-        while not all_hold(store.done, self._access.of_conditions(store.done)):
-            if deadline.expired:
-                raise MotionTimeoutError(f"drive {self._drive}: storing not over within {store.timeout_s:g} s")
-            self._clock.sleep_s(_POLL_S)
+        if not comes_true(
+            lambda: all_hold(store.done, self._access.of_conditions(store.done)), store.timeout_s, self._clock
+        ):
+            raise MotionTimeoutError(f"drive {self._drive}: storing not over within {store.timeout_s:g} s")
 
     def reported_scaling(self) -> ReportedScaling:
         """The drive's own units, exact fractions. Raises ProtocolError for a divisor of 0."""

@@ -961,6 +961,19 @@ def test_storing_waits_until_the_drive_is_done() -> None:
         drive.parameters.store(drive.sample().state)
 
 
+def test_a_drive_that_is_busy_while_it_stores_has_the_time_that_its_map_gives() -> None:
+    """5 s: longer than a busy drive is asked again by a single request."""
+    with rig(CIA402) as r, r.drive as drive:
+        state = drive.sample().state
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, code=6, count=180, function=3))  # at 20 ms: 3.6 s
+        drive.parameters.store(state)
+        r.server.faults.clear()
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, code=6, count=999, function=3))
+        with pytest.raises(AbortError, match="asked again for 3 s"):
+            drive.parameters.store(state)
+        r.server.faults.clear()
+
+
 def test_the_drive_states_its_own_units() -> None:
     with rig(CIA402) as r, r.drive as drive:
         scaling = drive.parameters.reported_scaling()
