@@ -80,7 +80,9 @@ def main(words: Sequence[str]) -> int:
     """Exit status 0 when every bench passed."""
     rows = Rows()
     options = [word for word in words if word != "--write"]
-    status = pytest.main([str(HERE), "-q", "-s", "-n", "0", "-m", "slow", "-p", "no:cacheprovider", *options], [rows])
+    status = pytest.main(
+        [str(HERE), "-q", "-s", "-n", "0", "-m", "outside", "-p", "no:cacheprovider", *options], [rows]
+    )
     lines = [line(command, cells) for command, cells in rows.found]
     print(f"\n{table(lines)}")
     if "--write" in words:

@@ -20,7 +20,7 @@ from support.bench import Record, installed, row
 
 from hil.records.rows import Records, to_csv
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 
 TESTS = Path(__file__).parents[1]
 MEASURED = """

@@ -13,7 +13,7 @@ from drivers.instruments.umd_laser import UmdLaser
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.virtual_drive import VirtualDrive
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 
 
 @pytest.mark.parametrize("every_s", [0.02, 0.1])

@@ -33,7 +33,7 @@ def test_every_folder_of_cases_has_a_target() -> None:
     assert {path.name for path in CASES.iterdir() if path.is_dir()} <= {name.replace(" ", "_") for name in TARGETS}
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.skipif(importlib.util.find_spec("atheris") is None, reason="no atheris for this Python")
 def test_a_short_run_of_each_target_finds_nothing() -> None:
     command = [sys.executable, str(Path(__file__).parent), "--runs", str(SHORT_RUNS), "--seconds", str(SHORT_S)]

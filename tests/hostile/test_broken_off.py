@@ -5,6 +5,8 @@ from __future__ import annotations
 import pytest
 from hostile.kills import HOMING, POWER, WAYS, Break, breaks, run
 
+pytestmark = pytest.mark.outside
+
 FEW = [
     Break("verify", method, way, share, number)
     for number, (method, way, share) in enumerate(
@@ -18,7 +20,6 @@ def test_resumed_or_refused_and_no_row_in_another_frame(case: Break) -> None:
     assert run(case).complaints == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in breaks(3)])
 def test_whatever_verb_was_broken_off(case: Break) -> None:
     assert run(case).complaints == []

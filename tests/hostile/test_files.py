@@ -139,7 +139,7 @@ def test_a_recording_that_unpacks_without_end_is_refused_within_memory(write: Wr
         tracemalloc.stop()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_recording_of_empty_lines_without_end_is_refused(write: Write) -> None:
     path = write(files.packed(b"time_s,laser_mm\n", 1) + files.packed(b"\n" * 1024, 1 << 20))
     began = time.process_time()

@@ -29,6 +29,8 @@ from hil.app.terminal.main import main
 from hil.correction.sealed import Cost, check, new_key, save_private_key, save_public_key, seal
 from hil.figures.history import merge, read_campaign
 
+pytestmark = pytest.mark.outside
+
 # -- the clock ---------------------------------------------------------------------------------------------------------
 JUMPS_S = (0, -86_400, 3_600, -7, 31_536_000, -31_536_000)
 
@@ -90,7 +92,6 @@ def test_a_full_disk_ends_a_verb_in_one_line_and_it_goes_on_with_room(verb: str,
         assert not found.complaints, (at, found)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", disks.KINDS)
 @pytest.mark.parametrize("verb", [verb for verb in VERBS if verb != "probe"])
 def test_a_disk_that_is_full_at_any_write_of_a_verb(verb: str, kind: str, tmp_path: Path) -> None:
@@ -156,7 +157,10 @@ def longest_file(most_bytes: int) -> Iterator[None]:
 
 @pytest.mark.parametrize(
     "verb",
-    [pytest.param(verb, marks=[] if verb in ("export", "seal", "open") else pytest.mark.slow) for verb in FILE_VERBS],
+    [
+        pytest.param(verb, marks=[] if verb in ("export", "seal", "open") else pytest.mark.outside)
+        for verb in FILE_VERBS
+    ],
 )
 def test_a_disk_that_is_full_at_any_write_of_a_verb_of_files(
     verb: str, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -206,7 +210,6 @@ def test_a_disk_that_is_full_at_any_write_of_a_verb_of_files(
 
 
 # -- two programs ------------------------------------------------------------------------------------------------------
-@pytest.mark.slow
 def test_two_programs_on_one_store_lose_nothing_and_each_remembers_its_own(tmp_path: Path) -> None:
     axis = Place(tmp_path / "axis", "virtual").axis()
     code = "import sys; sys.path[:0] = sys.argv[3:]; from hostile.disks import save_often; save_often(*sys.argv[1:3])"

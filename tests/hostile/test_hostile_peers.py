@@ -6,6 +6,8 @@ import pytest
 from hostile.judge import WIRES, Case, run, sample
 from hostile.places import VERBS
 
+pytestmark = pytest.mark.outside
+
 FEW, MORE = sample(1, ("verify", "doctor", "circle", "calibrate")), sample(1, tuple(VERBS))
 LEAST = {"canopen": 40, "modbus": 15, "drive": 8, "instrument": 15}
 
@@ -19,7 +21,6 @@ def test_it_ends_in_time_with_the_right_error_and_nothing_wrong(case: Case) -> N
     assert run(case).complaints == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in MORE if case not in FEW])
 def test_more_of_them_do(case: Case) -> None:
     assert run(case).complaints == []

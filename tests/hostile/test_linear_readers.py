@@ -191,7 +191,7 @@ def _only_new_objects() -> Iterator[None]:
     gc.unfreeze()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.usefixtures("_only_new_objects")
 @pytest.mark.parametrize("case", CASES)
 def test_time_grows_with_the_size_and_no_faster(

@@ -118,7 +118,7 @@ def _circle(axes: tuple[AxisConfig, AxisConfig], listener: Listener, benches: li
         drive_circle(sessions, Circle((40.0, 40.0), radius_mm=5.0), (None, None), period_s=0.02, listener=listener)
 
 
-@pytest.mark.parametrize("face", ["virtual", "canopen", pytest.param("modbus-tcp", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("face", ["virtual", "canopen", pytest.param("modbus-tcp", marks=pytest.mark.outside)])
 def test_an_interrupt_in_the_circle_stops_both_and_leaves_them_as_they_were(tmp_path: Path, face: str) -> None:
     def interrupt(_event: Event) -> None:
         raise KeyboardInterrupt

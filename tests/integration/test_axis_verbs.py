@@ -204,7 +204,7 @@ def test_a_band_that_cannot_be_held_ends_with_both_figures(
 
 @pytest.mark.parametrize(
     "script",
-    ["commission", *(pytest.param(script, marks=pytest.mark.slow) for script in ("lost_motion", "close_the_loop"))],
+    ["commission", *(pytest.param(script, marks=pytest.mark.outside) for script in ("lost_motion", "close_the_loop"))],
 )
 def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
     done = subprocess.run(

@@ -454,7 +454,7 @@ def test_doctor_names_the_risk(site: Make, homing: str, verdict: str, said: str)
     assert found["zero"].good
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_store_that_states_no_zero_warns_in_a_line_and_is_used(
     site: Make, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -156,7 +156,7 @@ def test_the_mean_is_written_only_when_asked_for_and_as_the_drive_can_hold_it(ri
     assert rig.switch.value == 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_method_decides_what_is_written(rig: Rig) -> None:
     rig.how = replace(rig.how, method="four-sample")
     result = rig.measure(write=True)
@@ -175,7 +175,7 @@ def test_a_small_backlash_with_finer_steps(tmp_path: Path, behind: BenchBehind) 
         assert found.mean_um == pytest.approx(play_um, abs=1.0)
 
 
-@pytest.mark.parametrize("weight_n", [-1500.0, pytest.param(1500.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("weight_n", [-1500.0, pytest.param(1500.0, marks=pytest.mark.outside)])
 def test_a_vertical_axis_whose_torque_never_passes_zero(tmp_path: Path, behind: BenchBehind, weight_n: float) -> None:
     """15 % of rated hold the table, 9 % is friction. The published rule looks at |T| and cannot know."""
     train = replace(DriveTrain(), weight_n=weight_n)
@@ -287,7 +287,7 @@ def test_a_refusal_to_zero_the_second_puts_the_first_back(rig: Rig) -> None:
     assert not rig.bench.bench.servo.homed, "nothing was moved"
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_drive_that_takes_another_value_than_it_was_given(rig: Rig) -> None:
     class Deaf(Kept):
         def write(self, value: float) -> None:
@@ -325,7 +325,7 @@ def test_a_way_out_of_the_travel(rig: Rig) -> None:
 
 
 # -- the published machines, through the drive -----------------------------------------------------------------------------------
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("machine", PUBLISHED, ids=[machine.name for machine in PUBLISHED])
 def test_five_runs_are_within_one_per_cent_of_the_laser(
     machine: PublishedMachine,
@@ -375,13 +375,13 @@ def test_over_canopen_the_written_amount_takes_the_lost_motion_away(tmp_path: Pa
     assert result.written == pytest.approx(100.0 * (result.lost_motion_um or 0.0), abs=0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_same_over_modbus(tmp_path: Path, behind: BenchBehind) -> None:
     _, left_um = measured_and_written(load_drive_axis(lay_out(tmp_path, "modbus-tcp")), behind)
     assert abs(left_um) < 1.2
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_over_a_serial_line_of_a_drive_without_a_parameter(tmp_path: Path) -> None:
     axis = load_drive_axis(lay_out(tmp_path, "modbus-rtu"))
     assert axis.backlash is not None

@@ -44,7 +44,7 @@ def lost_motion_of(reversals: list[Reversal]) -> LostMotion:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("noise_permille", [0.5, NOISE_PERMILLE, 1.5])
 @pytest.mark.parametrize("machine", PUBLISHED, ids=[machine.name for machine in PUBLISHED])
 def test_five_runs_on_machines_with_the_published_lost_motion(
@@ -72,7 +72,7 @@ def test_five_runs_on_machines_with_the_published_lost_motion(
     assert np.mean(covered) >= 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_stated_uncertainty_covers_the_truth_on_machines_nobody_has_seen(
     record_property: Callable[[str, object], None],
 ) -> None:

@@ -23,6 +23,8 @@ from hil.backlash.job import backlash_config
 from hil.backlash.settings import ObjectSetting, backlash_settings
 from hil.machine.wiring import connected_drive
 
+pytestmark = pytest.mark.outside
+
 Until = Callable[[Callable[[], bool], str], None]
 
 
@@ -61,7 +63,6 @@ def test_a_creep_finds_what_steps_find(tmp_path: Path, capsys: pytest.CaptureFix
     assert [row["creep_um_s"] for row in rows] == [20.0, 20.0]
 
 
-@pytest.mark.slow
 def test_the_report_shows_both_directions_with_both_estimates(tmp_path: Path) -> None:
     axis, page = lay_out(tmp_path), tmp_path / "out.html"
     assert main(["backlash", str(axis), "--report", str(page)]) == 0
@@ -262,7 +263,6 @@ def test_an_object_that_moves_the_axis_is_refused_before_anything_moves(
     assert f"{parameter} is no parameter of backlash; nothing was written" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until: Until) -> None:
     axis, folder = lay_out(tmp_path, "canopen"), tmp_path / "X-campaign"
     command = [sys.executable, "-m", "hil.app", "backlash", str(axis), "--runs", "100"]
@@ -281,7 +281,6 @@ def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until:
     assert all(json.loads(line)["position_load_mm"] for line in kept.read_text().splitlines())
 
 
-@pytest.mark.slow
 def test_the_example_runs_as_it_is_shipped(tmp_path: Path) -> None:
     shipped = Path(__file__).parents[2] / "hil/examples/backlash_axis.toml"
     axis = tmp_path / "axis.toml"

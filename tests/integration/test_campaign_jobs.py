@@ -30,7 +30,7 @@ from hil.diagnosis.page_data import diagnosis_screen
 from hil.machine.events import Event, Point
 from hil.records.rows import read_csv
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 Until = Callable[[Callable[[], bool], str], None]
 READING, KEY = PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"]
 

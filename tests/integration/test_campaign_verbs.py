@@ -29,7 +29,7 @@ def axis(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_designed_plan_is_measured_row_by_row_and_checked(axis: Path, tmp_path: Path) -> None:
     plan, out = tmp_path / "plan.csv", tmp_path / "design.json"
     design = ["campaign", "design", str(axis), "--out", str(plan), "--json", str(out)]
@@ -67,7 +67,7 @@ def test_bad_input_is_one_line_and_exit_2(axis: Path, tmp_path: Path, capsys: py
     assert capsys.readouterr().err.count("\n") == 2
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_diagnosis_names_hidden_rivals_and_the_run_that_tells_them_apart(tmp_path: Path) -> None:
     machine = PlannedMachine(31, "backlash", 3.0)
     plan = standard_test(machine, np.random.default_rng(2))

@@ -311,7 +311,7 @@ def test_a_few_seeds_of_each_kind(kind: Kind) -> None:
         _judge(kind, _run(kind, seed))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name.replace(" ", "-"))
 def test_more_seeds_of_each_kind(kind: Kind, pytestconfig: pytest.Config) -> None:
     seeds = TIMES * pytestconfig.getoption("--seeds")

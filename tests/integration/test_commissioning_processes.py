@@ -24,12 +24,14 @@ from support.sim_process import SimProcess, sim
 from hil.app.terminal.main import main
 from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
+pytestmark = pytest.mark.outside
+
 WIRES = {
     "modbus tcp": ("modbus", "--tcp", "127.0.0.1:0"),
     "slcan": ("drive", "--interface", "slcan-pty"),
     "vcan": ("drive", "--channel", "vcan0", "--node", "5"),
 }
-SLOW = pytest.mark.slow
+SLOW = pytest.mark.outside
 ON_CAN = [pytest.param("slcan", marks=SLOW), pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])]
 DISABLED = "switch on disabled"
 
@@ -96,7 +98,6 @@ def test_an_axis_is_examined_over_a_real_wire(wire: str, tmp_path: Path) -> None
         assert at.stands_disabled()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "wire",
     [pytest.param("modbus tcp", marks=SLOW), "slcan", pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])],
@@ -127,7 +128,6 @@ def busy_processes(count: int) -> Iterator[None]:
             each.wait()
 
 
-@pytest.mark.slow
 def test_an_axis_is_calibrated_on_a_busy_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With the default time-outs, while four other processes compute: an answer that comes late is asked for again. Not in the
     guest: how late its emulated processors answer depends on the host, which then decides whether those time-outs are enough."""
@@ -160,7 +160,6 @@ def test_ctrl_c_stops_and_disables_the_axis_and_keeps_the_rows(wire: str, tmp_pa
         assert at.stands_disabled()
 
 
-@pytest.mark.slow
 def test_an_interrupted_calibration_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in PASSWORDS.items():
         monkeypatch.setenv(name, value)
@@ -181,7 +180,6 @@ SILENT = (signal.SIGSTOP, r"instrument umd: no reading (for|in) ")
 KILLED = (signal.SIGKILL, r"port /dev/pts/.* is gone")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("wire", "number", "words"),
     [
@@ -210,7 +208,6 @@ def test_a_laser_that_falls_silent_or_dies_stops_the_axis(
         assert at.stands_disabled()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("wire", ["modbus tcp", "slcan"])
 def test_a_drive_that_dies_ends_the_job_and_keeps_the_rows(wire: str, tmp_path: Path) -> None:
     with shop(wire, tmp_path) as at, Job("calibrate", str(at.axis)) as job:
@@ -239,7 +236,6 @@ def test_a_guarded_drive_stops_by_itself_when_its_master_is_killed(wire: str, tm
         assert at.machine.left["position_mm"] < 15.0, "it was on its way there"
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("homing", "resumes"), [((), True), (("--homing", "37"), False)], ids=["switch", "37"])
 def test_resume_in_another_process_stays_in_the_zero(
     homing: tuple[str, ...],
@@ -287,7 +283,6 @@ SDO_DIES_S = 25.0
 """After the start of the machine: by then the script is moving it, also on a busy host."""
 
 
-@pytest.mark.slow
 def test_ctrl_c_twice_ends_a_job_whose_drive_hangs_with_the_axis_stopped(tmp_path: Path) -> None:
     """From some moment on no SDO is answered, and each answer may take 5 s: longer than anybody waits for the way out."""
     with shop("slcan", tmp_path, faults=[f"sdo-lost@{SDO_DIES_S:g}"]) as at:

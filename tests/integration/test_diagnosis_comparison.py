@@ -12,7 +12,7 @@ from study.comparison import OURS, ask_all, by_method, machines
 from study.comparison_methods import BLACK_BOX, METHODS, available
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_we_are_ahead_of_each_in_right_causes_wrong_names_and_fresh_error() -> None:
     """The first 12 machines of `python tests/study/comparison.py`, drawn by a generator that was written apart."""
     figures = by_method(chain.from_iterable(ask_all(machines(12, "tuning", 0), workers=2)))

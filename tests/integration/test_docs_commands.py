@@ -15,7 +15,7 @@ from support.commissioning import shortened
 from support.docs import COMMISSIONING, PAGES, blocks, holds, outputs, page_output, run_commands, run_page
 from support.sim_process import sim
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 
 RUN = [
     name

@@ -349,7 +349,7 @@ def test_a_sample_of_the_matrix(name: str) -> None:
     assert rows[0].drive.cells["recovers"] == "yes"
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("name", NAMES[::3])
 def test_every_verb_over_a_third_of_the_profiles(name: str) -> None:
     """All of them: `python tests/study/makers_matrix.py --profiles`, six minutes."""

@@ -61,7 +61,7 @@ SPOILT: dict[str, Spoil] = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_drive_and_bridge_correct_alike(tmp_path: Path) -> None:
     proof = measured(*lay_out_table_axis(tmp_path, "in process"))
     assert proof.good, proof.verdict
@@ -71,7 +71,7 @@ def test_drive_and_bridge_correct_alike(tmp_path: Path) -> None:
     assert "the drive corrects as the bridge does" in proof.verdict
 
 
-@pytest.mark.parametrize("wrong", [pytest.param(w, marks=pytest.mark.slow if w != "sign" else ()) for w in SPOILT])
+@pytest.mark.parametrize("wrong", [pytest.param(w, marks=pytest.mark.outside if w != "sign" else ()) for w in SPOILT])
 def test_a_map_that_is_wrong_is_found_out(wrong: str, tmp_path: Path) -> None:
     axis, tables = lay_out_table_axis(tmp_path, "in process")
     proof = measured(axis, tables, SPOILT[wrong])
@@ -91,7 +91,7 @@ def test_a_map_that_is_wrong_is_found_out(wrong: str, tmp_path: Path) -> None:
         assert "in force? homed?" in proof.verdict
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("face", [face for face in FACES if face != "in process"])
 def test_on_every_wire(face: str, tmp_path: Path) -> None:
     proof = measured(*lay_out_table_axis(tmp_path, face))
@@ -102,9 +102,9 @@ def test_on_every_wire(face: str, tmp_path: Path) -> None:
     "face",
     [
         "in process",
-        pytest.param("canopen, domain", marks=pytest.mark.slow),
-        pytest.param("canopen, array", marks=pytest.mark.slow),
-        pytest.param("modbus tcp, error map", marks=pytest.mark.slow),
+        pytest.param("canopen, domain", marks=pytest.mark.outside),
+        pytest.param("canopen, array", marks=pytest.mark.outside),
+        pytest.param("modbus tcp, error map", marks=pytest.mark.outside),
     ],
 )
 def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
@@ -126,7 +126,7 @@ def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
     assert abs(max(place.difference_um for place in proof.places if place.direction < 0)) < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_an_error_while_it_is_measured_leaves_the_switch_as_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -10,7 +10,7 @@ from study.endurance import Account, run
 from drivers.canopen.stream import CyclicStream
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_ten_minutes_with_faults_are_accounted_for(tmp_path: Path) -> None:
     found = run(1 / 6, 1, tmp_path, 600.0)
     assert found.good, found

@@ -21,7 +21,7 @@ from support.commissioning import PATIENT
 from support.places import SHARED_DATA
 from support.sim_process import sim
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 EDS = SHARED_DATA / "eds"
 needs_eds = pytest.mark.skipif(not EDS.is_dir(), reason=f"{EDS} is not there")
 

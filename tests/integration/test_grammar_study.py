@@ -16,7 +16,7 @@ from study.grammar.report import right
 from hil.fleet.executor import completed
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_strong_cause_and_a_clean_machine_are_judged_by_what_the_verbs_say(tmp_path, capsys):
     out = tmp_path / "study.json"
     assert main(["--lot", "strong", "--lot", "clean", "--machines", "2", "--processes", "1", "--json", str(out)]) == 0
@@ -35,7 +35,7 @@ def test_a_strong_cause_and_a_clean_machine_are_judged_by_what_the_verbs_say(tmp
     assert json.loads(again.read_text()) == found
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("lot", "machines"),
     [
@@ -65,7 +65,7 @@ def test_a_few_machines_of_each_lot_are_right_and_none_has_a_confident_wrong_nam
         assert np.mean(inside) >= 0.75
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_on_dask_workers_one_of_which_is_killed_half_way_every_machine_is_judged(tmp_path, monkeypatch):
     """As `--scheduler` runs it; the same machines, judged here, have the same outcomes."""
     out, seen = tmp_path / "study.json", []

@@ -56,7 +56,7 @@ def test_samples_are_dated_to_microseconds(tmp_path: Path) -> None:
         )
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path: Path) -> None:
     path, bench = machine_of(tmp_path)
     axis = load_axis(path)
@@ -85,7 +85,7 @@ def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path:
     assert abs(lag_at_table_um(after)) <= 0.1 * HIDDEN_UM
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_loop_measures_a_latency_that_nobody_stated_and_does_not_correct_the_axis_for_it(tmp_path: Path) -> None:
     path, bench = machine_of(tmp_path, "ideal", sections=4, runs=1)
     axis = load_axis(path)

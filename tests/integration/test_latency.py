@@ -25,6 +25,8 @@ from hil.records.journal import Campaign
 from hil.records.rows import Records, read_csv
 from sim_backends.gauge import GaugeParameters
 
+pytestmark = pytest.mark.outside
+
 HOW = InMotion((30.0, 110.0), runs=2, stretch_mm=60.0, period_s=0.008)
 NOISE_UM = 0.05
 UMD = "place_temps = { screw = 4 }"
@@ -96,7 +98,6 @@ def test_a_latency_is_found_on_the_fly_and_taken_off(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.slow
 def test_edges_that_both_see_need_no_even_link_and_tell_the_machine_from_it(tmp_path: Path) -> None:
     with machine(tmp_path, f"trigger_input = 1\n{UMD}", latency_s=0.05, jitter_s=0.003) as bench:
         assert bench.bench is not None
@@ -111,7 +112,6 @@ def test_edges_that_both_see_need_no_even_link_and_tell_the_machine_from_it(tmp_
     assert "delay_s" in read_csv(tmp_path / "lag" / "latency.csv").columns
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("latency_s", "edges"), [(0.0, False), (0.003, False), (0.12, False), (0.0, True), (0.12, True)]
 )
@@ -122,13 +122,11 @@ def test_short_and_long_latencies(tmp_path: Path, latency_s: float, edges: bool)
         check(found_on(bench, tmp_path / "rows", how), latency_s, within_s=2e-5)
 
 
-@pytest.mark.slow
 def test_edges_over_canopen(tmp_path: Path) -> None:
     with machine(tmp_path, f"trigger_input = 1\n{UMD}", latency_s=0.02, face="canopen") as bench:
         check(found_on(bench, tmp_path / "rows", replace(HOW, trigger_input=1)), 0.02, within_s=2e-5)
 
 
-@pytest.mark.slow
 def test_over_modbus_the_age_of_the_drives_answer_counts_as_well(tmp_path: Path) -> None:
     with machine(tmp_path, f"trigger_input = 1\n{UMD}", latency_s=0.02, face="modbus-rtu") as bench:
         found = found_on(bench, tmp_path / "rows", replace(HOW, trigger_input=1, period_s=0.016))
@@ -139,7 +137,6 @@ def test_over_modbus_the_age_of_the_drives_answer_counts_as_well(tmp_path: Path)
     assert found.after_um <= 2.0 * found.at_rest_um
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("instrument", "true_s"),
     [
@@ -156,7 +153,6 @@ def test_displays(tmp_path: Path, instrument: str, true_s: float) -> None:
         check(found_on(bench, tmp_path / "rows", how), true_s, within_s=2e-5)
 
 
-@pytest.mark.slow
 def test_an_uneven_link_on_the_fly_is_as_uncertain_as_is_said(tmp_path: Path) -> None:
     with machine(tmp_path, UMD, latency_s=0.02, jitter_s=0.001) as bench:
         latency = measure_latency(bench.session, Campaign(tmp_path / "rows", {}, resume=False), replace(HOW, runs=4))
@@ -164,7 +160,6 @@ def test_an_uneven_link_on_the_fly_is_as_uncertain_as_is_said(tmp_path: Path) ->
     assert abs(latency.latency_s - 0.0205) <= latency.within_s <= 2e-4
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("stated_s", "status"), [(None, 0), (0.01, 1)])
 def test_doctor_measures_it_or_holds_what_is_stated_against_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], stated_s: float | None, status: int

@@ -56,7 +56,7 @@ def test_no_effect_that_can_be_compensated_is_left_out() -> None:
     assert compensable == set(SIZES_UM) | IN_MOTION_ONLY
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("effect", sorted(SIZES_UM))
 def test_nine_tenths_of_a_hidden_effect_are_removed(effect: str, tmp_path: Path) -> None:
     path = bench_axis.lay_out(tmp_path, machine="geometric", sections=15, runs=2)

@@ -47,7 +47,7 @@ def measured(lost: LostMotion, distance_mm: float) -> MeasuredReversal:
     return MeasuredReversal(-1, travel_mm, np.array(error_um))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_no_over_compensation_after_any_strokes(record_property: Callable[[str, object], None]) -> None:
     """500 sequences of 20 strokes each, from a thirtieth of the rise to sixteen times it."""
     over, off, forgetful = dict.fromkeys(("two tanh", "straight pieces"), 0.0), {}, 0.0
@@ -141,7 +141,7 @@ def lost_motion_alone(rise: Rise) -> Compensation:
     return Compensation(TableSet(TableMode.UNIDIRECTIONAL_BACKLASH, zero, backlash), (), rise)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_drive_train_under_the_correction_after_any_strokes(record_property: Callable[[str, object], None]) -> None:
     """Twenty moves a sequence, from a tenth of the lost motion to a hundred times it: where the table comes to rest against its
     target. Uncorrected it is off by the whole lost motion."""

@@ -118,7 +118,7 @@ def test_nothing_to_correct_is_said_and_ends_well(
     assert main(["lost-motion", str(x), "--resume", "--only-measure"]) == 0  # finished: nothing is left to resume
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_what_is_no_improvement_is_not_stored_again(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str
@@ -153,7 +153,7 @@ def test_a_drive_without_set_points_is_said_before_anything_moves(
     assert not (tmp_path / "X-campaign" / "circle-001").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_from_two_worn_axes_to_a_round_circle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], record_property: Callable[[str, object], None]
 ) -> None:
@@ -199,7 +199,7 @@ def test_from_two_worn_axes_to_a_round_circle(
             assert word in text
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_the_three_circles_where_the_lost_motion_rises_gradually(
     tmp_path: Path, face: str, record_property: Callable[[str, object], None]
@@ -222,7 +222,7 @@ def test_the_three_circles_where_the_lost_motion_rises_gradually(
     assert after < 1.2 * found["corrected"]["floor_um"]
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize(("face", "shape"), [("canopen", "two-tanh"), ("modbus-vendor", "straight-pieces")])
 def test_a_shape_that_is_asked_for_is_taken(tmp_path: Path, face: str, shape: str) -> None:
     (x, _), out, page = lay_out_axes(tmp_path, face), tmp_path / "out.json", tmp_path / "lm.html"
@@ -239,7 +239,7 @@ def test_a_shape_that_is_asked_for_is_taken(tmp_path: Path, face: str, shape: st
     assert f"{rise.shape.name} asked for: " in text
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_typed_values_are_proven_and_stored_and_bad_ones_are_not(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -261,7 +261,7 @@ def test_typed_values_are_proven_and_stored_and_bad_ones_are_not(
         assert "expected Pc1,Pc2,a1,a2,b2 as five numbers" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_by_the_estimated_position_it_lags_and_by_set_points_not(tmp_path: Path, face: str) -> None:
     """The same correction of an abrupt rise, fed fast: the encoder lies behind by the following error and by a period."""
@@ -279,7 +279,7 @@ def test_by_the_estimated_position_it_lags_and_by_set_points_not(tmp_path: Path,
     assert 1.3 * bumps["command"] < bumps["estimate"] < 0.2 * WORN_UM
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_same_over_modbus(tmp_path: Path) -> None:
     """By the vendor's map, which has no set-points: nothing here needs them."""
     (x, _), out = lay_out_axes(tmp_path, "modbus-vendor", machine="geometric"), tmp_path / "out.json"
@@ -289,7 +289,7 @@ def test_the_same_over_modbus(tmp_path: Path) -> None:
     assert found["proof"]["after"]["rms_um"] < 0.05 * found["proof"]["before"]["rms_um"]
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_beside_tables_it_is_in_force_for_every_other_verb_and_a_calibration_replaces_it(tmp_path: Path) -> None:
     (x, _), out = lay_out_axes(tmp_path, machine="typical", lost_motion=""), tmp_path / "out.json"
     assert main(["calibrate", str(x)]) == 0
@@ -309,7 +309,7 @@ def test_beside_tables_it_is_in_force_for_every_other_verb_and_a_calibration_rep
     assert stored(x).load().rise is None
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_correction_that_does_not_prove_itself_is_not_stored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -322,7 +322,7 @@ def test_a_correction_that_does_not_prove_itself_is_not_stored(
     assert not (tmp_path / "X-campaign" / "tables.sealed").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path, until: Until) -> None:
     x, _ = lay_out_axes(tmp_path, machine="geometric")
     command = [sys.executable, "-m", "hil.app", "lost-motion", str(x)]

@@ -33,7 +33,7 @@ def a_pass(session: AxisSession, directory: Path, axis: AxisConfig) -> Records:
     return measure(session, campaign, "verify", bidirectional_steps(axis.measurement.targets_mm, 1))
 
 
-@pytest.fixture(params=["virtual", pytest.param("canopen", marks=pytest.mark.slow)])
+@pytest.fixture(params=["virtual", pytest.param("canopen", marks=pytest.mark.outside)])
 def played(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[AxisConfig, Path, Records]:
     axis = axis_at(tmp_path / "axis", request.param)
     path = tmp_path / "recording.csv"
@@ -63,7 +63,7 @@ def test_a_recording_gives_the_same_rows_again_and_nothing_else(
             measure(machine.session, Campaign(tmp_path / "other", {"kind": "x"}, resume=False), "x", steps)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_verb_records_and_replays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     axis = axis_at(tmp_path, "canopen")
     for name, value in PASSWORDS.items():
@@ -85,7 +85,7 @@ def test_the_verb_records_and_replays(tmp_path: Path, monkeypatch: pytest.Monkey
     assert main(["verify", str(axis.path), "--seed", "2", "--replay", recording]) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("verb", ["calibrate", "close-loop"])
 def test_a_recorded_job_comes_to_the_same_again_and_stores_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], verb: str

@@ -73,7 +73,7 @@ def store(axis: AxisConfig, reversal_um: float, made_with: MadeWith | None) -> N
     SealedStore.of(axis, READING, KEY).save_tables(TableSet(TableMode.BIDIRECTIONAL, pitch))
 
 
-@pytest.mark.parametrize("face", ["canopen", pytest.param("modbus-tcp", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("face", ["canopen", pytest.param("modbus-tcp", marks=pytest.mark.outside)])
 def test_a_calibration_is_bound_to_the_drives_parameters_and_a_changed_drive_is_noticed(
     face: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -194,7 +194,7 @@ def test_tables_of_before_do_not_let_an_amount_be_written(tmp_path: Path) -> Non
 
 
 # -- parameter sets ------------------------------------------------------------------------------------------------------
-@pytest.fixture(params=["modbus", pytest.param("canopen", marks=pytest.mark.slow)])
+@pytest.fixture(params=["modbus", pytest.param("canopen", marks=pytest.mark.outside)])
 def on_a_wire(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[tuple[Path, str, str]]:
     """An axis file whose drive is on a wire, and the addresses of its amount and of its gear."""
     path = lay_out(tmp_path, "canopen" if request.param == "canopen" else "modbus-tcp")

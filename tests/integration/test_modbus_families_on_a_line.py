@@ -14,7 +14,7 @@ from hil.axis.axis_file import load_axis
 from hil.machine.axis_lock import modbus_endpoint
 from sim_backends.clock import SimClock
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 
 SERIAL_ONLY = ("leadshine_el7", "lichuan_a6", "stepperonline_a6_rs", "aasd_15a")
 

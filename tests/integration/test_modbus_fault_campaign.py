@@ -186,7 +186,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         metafunc.parametrize(("shape", "wire", "kind", "seed"), _cases(seeds))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_many_faults_anywhere_in_a_job(
     shape: str, wire: str, kind: WireFaultKind, seed: int, job_length: dict[tuple[str, str], int]
 ) -> None:

@@ -54,6 +54,8 @@ from sim_backends.modbus_drive import rtu_slave, tcp_server
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo
 
+pytestmark = pytest.mark.outside
+
 SIZE = 300
 UNIT = 7
 INPUTS = [0x1000 + n for n in range(SIZE)]
@@ -303,7 +305,6 @@ def test_a_register_map_reads_a_foreign_server_in_one_request_per_table(link: Mo
     assert link.read(UNIT, Table.HOLDING, Span(0, 6)) == (0xFFFB, 0xFFFF, 70_000 - 65_536, 1, 9, 0)
 
 
-@pytest.mark.slow
 def test_a_correction_table_goes_into_a_foreign_server_and_out_again(link: ModbusLink, tmp_path: Path) -> None:
     """The table of a shipped map, brought to where a server of 300 registers has some."""
     text = find_map("vendor_style").read_text(encoding="utf-8").replace("points = 256", "points = 80")
@@ -325,7 +326,6 @@ def test_a_correction_table_goes_into_a_foreign_server_and_out_again(link: Modbu
     assert link.read(UNIT, Table.HOLDING, Span(288, 2)) == (39, HOLDING[289])
 
 
-@pytest.mark.slow
 def test_a_parameter_set_goes_into_a_foreign_server_and_out_again(link: ModbusLink, tmp_path: Path) -> None:
     """Written, read back and stored; cut off in the middle and finished both ways; put back as it was."""
     drive = ModbusRawParameters("Z", ModbusLine(link), UNIT, load_drive_map(write_map(tmp_path)))

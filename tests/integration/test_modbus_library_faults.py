@@ -23,6 +23,8 @@ from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
 from sim_backends.modbus_faults import WireFault, WireFaultKind
 from sim_backends.modbus_registers import Bank, Cell, Space, Value
 
+pytestmark = pytest.mark.outside
+
 TIMEOUT_S = 0.4  # where it is waited out
 AMPLE_S = 10.0  # where it is not
 HOLDING = Table.HOLDING

@@ -16,6 +16,8 @@ from drivers.listening import Listening
 from drivers.modbus import ports
 from drivers.modbus.ports import SerialPort
 
+pytestmark = pytest.mark.outside
+
 REQUEST, REPLY, STOP = b"\x01\x03\x00\x00\x00\x02\xc4\x0b", b"\x01\x03\x04\x00\x00\x00\x00\xfa\x33", b"the stop"
 TIMEOUT_S = 2.0
 

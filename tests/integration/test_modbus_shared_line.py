@@ -18,6 +18,8 @@ from sim_backends.modbus_faults import WireFault, WireFaultKind
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo
 
+pytestmark = pytest.mark.outside
+
 COUNTS = 100_000
 LIMITS = DriveLimits(-3.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
 SCALING = AxisScaling(COUNTS, 10.0)

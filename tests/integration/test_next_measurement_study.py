@@ -17,7 +17,7 @@ from hil.machine.wiring import bench_parameters, connected
 from hil.records.journal import Campaign
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_after_what_it_asks_for_it_is_right() -> None:
     """Two machines of each effect; `python tests/study/next_study.py --machines 340` is the whole study."""
     figures = summary([run(case) for case in cases(34)])
@@ -27,7 +27,7 @@ def test_after_what_it_asks_for_it_is_right() -> None:
     assert figures["runs asked for, mean of those confused"] <= 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_loop_makes_the_run_that_tells_its_rivals_apart(tmp_path: Path) -> None:
     """A short exploration leaves drift by warmth and a wandering beam; warming up and cooling down is what the axis can do alone."""
     path = bench_axis.lay_out(tmp_path, machine="geometric", sections=9, runs=2)

@@ -37,7 +37,7 @@ def test_the_option_without_a_file_for_the_model_is_refused(tmp_path: Path, caps
     assert "--out" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_from_records_to_the_drives_command(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -84,7 +84,7 @@ def test_from_records_to_the_drives_command(
             in_force.command(target, MotionHistory(target - d), {"load_kg": known["load_kg"]})
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("kind", "words"), [("", "nothing is left unexplained"), ("torque_times_temperature", "torque")]
 )
@@ -100,7 +100,7 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(
     assert not out.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_verify_moves_with_it_in_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Measured on a colder machine than today's: held at the end of that range, where it says 20 µm."""
     for name, value in bench_axis.PASSWORDS.items():
@@ -122,7 +122,7 @@ def test_verify_moves_with_it_in_force(tmp_path: Path, monkeypatch: pytest.Monke
     np.testing.assert_allclose(rows["command_mm"] - rows.target_mm, -0.020, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_on_machines_outside_the_catalogue_it_brings_fresh_campaigns_down() -> None:
     """A small part of `tests/study/unexplained.py`."""
     kinds = [kind for kind in OUTSIDE if kind in ("feed_resonance", "cross_product", "direction_times_humidity")]

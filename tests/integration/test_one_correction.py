@@ -36,7 +36,7 @@ def hand_to_the_drive(session: AxisSession, tables: TableSet) -> None:
 
 
 @pytest.mark.parametrize(
-    "face", [pytest.param(face, marks=() if face == "in process" else pytest.mark.slow) for face in FACES]
+    "face", [pytest.param(face, marks=() if face == "in process" else pytest.mark.outside) for face in FACES]
 )
 def test_a_session_asks_the_drive_first(face: str, tmp_path: Path) -> None:
     axis, tables = lay_out_table_axis(tmp_path, face)
@@ -100,7 +100,7 @@ def test_a_table_switched_on_meanwhile_stops_the_next_corrected_motion(
         session.move_to(40.0)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("verb", ["calibrate", "verify", "close-loop"])
 def test_no_verb_corrects_what_the_drive_corrects(
     verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -127,7 +127,7 @@ def test_no_verb_corrects_what_the_drive_corrects(
     assert not list(axis.store.directory.rglob("*.csv")), "a row was measured"
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_backlash_by_torque_is_refused_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

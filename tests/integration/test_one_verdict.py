@@ -22,6 +22,8 @@ from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import to_csv
 
+pytestmark = pytest.mark.outside
+
 Verdict = list[tuple[str, frozenset[str]]]
 
 
@@ -92,7 +94,6 @@ def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -
     assert confidences(with_model) == pytest.approx(confidences(loop), abs=NEARLY)
 
 
-@pytest.mark.slow  # the whole demo, which CI also runs as its user does
 def test_the_demo_measures_what_it_gains_and_says_what_the_command_says_of_its_files(tmp_path: Path) -> None:
     out, result = tmp_path / "demo", tmp_path / "demo.json"
     assert main(["demo", "--out", str(out), "--json", str(result)]) == 0

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from support import panel
 from support.backlash_axis import lay_out
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 TOKEN = "what every browser is asked for"
 ADDRESS = "127.0.0.2"  # not one of loopback's names, and still this machine
 

@@ -17,7 +17,7 @@ from support.panel import Person
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

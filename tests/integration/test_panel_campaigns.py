@@ -16,7 +16,7 @@ from support.panel import Person
 from hil.records.rows import read_csv, to_csv
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

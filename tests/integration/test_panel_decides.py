@@ -18,7 +18,7 @@ from hil.parameters.job import LARGEST_BYTES
 from hil.records.rows import to_csv
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

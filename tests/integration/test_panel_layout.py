@@ -18,7 +18,7 @@ from support.two_axes import lay_out_axes
 from hil.app.panel.texts import load
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

@@ -14,7 +14,7 @@ from support.machine import SimulatedMachine, machine
 from support.panel import WATCH, Person
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

@@ -15,7 +15,7 @@ from support.backlash_axis import QUICK, lay_out
 from support.panel import Person
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

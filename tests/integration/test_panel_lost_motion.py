@@ -15,7 +15,7 @@ from hil.axis.axis_file import load_axis
 from hil.correction.store import SealedStore
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

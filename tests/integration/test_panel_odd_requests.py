@@ -15,7 +15,7 @@ import websockets
 from support import panel
 from support.bench_axis import lay_out
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.outside
 FRAMES: list[list[str | bytes]] = [
     ["garbage"],
     ["42"],

@@ -22,7 +22,7 @@ from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

@@ -13,7 +13,7 @@ from sim_backends.plant.touch_probe import Bore
 from sim_backends.probe import known_probe
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

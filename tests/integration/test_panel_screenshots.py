@@ -14,7 +14,7 @@ from support.screenshots import complaints
 from support.two_axes import lay_out_axes
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

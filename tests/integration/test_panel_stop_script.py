@@ -16,7 +16,7 @@ from support import panel
 from support.panel import Person
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

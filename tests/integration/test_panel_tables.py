@@ -21,7 +21,7 @@ from hil.correction.tables import SingleTable, TableSet
 from hil.records.rows import read_csv
 
 pytestmark = [
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.browser,
     pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
 ]

@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 from study.panel_week import RATE_HZ, Board, EventLog, run
 
+pytestmark = pytest.mark.outside
+
 
 def test_hours_of_states_and_events_are_accounted_for(tmp_path: Path) -> None:
     found = run(0.1, 1, tmp_path, restart_every_s=2000.0)

@@ -232,7 +232,7 @@ def canopen_axis(tmp_path: Path) -> Iterator[Path]:
         machine.end()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_drive_in_a_process_of_its_own(
     canopen_axis: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -142,7 +142,7 @@ class _Stopped:
     [
         ("latch", "X", probe_files.VIRTUAL),
         ("step", "Y", probe_files.VIRTUAL),
-        pytest.param("latch", "X", probe_files.CANOPEN, marks=pytest.mark.slow),
+        pytest.param("latch", "X", probe_files.CANOPEN, marks=pytest.mark.outside),
     ],
 )
 def test_holds_within_50_ms_of_a_stop_while_feeding_towards_the_block(  # noqa: PLR0917
@@ -314,7 +314,7 @@ def test_a_sealed_run_out_is_measured_by_its_builder_only(tmp_path: Path, until:
         assert not at.config.store.directory.exists()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_sealed_run_out_is_put_into_force_and_read(tmp_path: Path, until: Until) -> None:
     lay_out_keys(tmp_path)
     with at_work(tmp_path, until, more=SEALED) as at:

@@ -88,7 +88,7 @@ class Machine:
         )
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize(("mode", "gap_mm", "pulse_um"), [("latch", 0.3, 1.0), ("step", 0.03, 2.0)])
 def test_run_out_and_radius_of_200_machines_within_a_pulse(
     tmp_path: Path, mode: str, gap_mm: float, pulse_um: float
@@ -104,7 +104,7 @@ def test_run_out_and_radius_of_200_machines_within_a_pulse(
     print(f"{mode}: worst of {MACHINES} machines {worst:.3f} µm")
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_corrected_bore_centre_within_a_pulse(tmp_path: Path) -> None:
     worst = uncorrected = 0.0
     for seed in range(40):
@@ -125,7 +125,7 @@ def test_a_corrected_bore_centre_within_a_pulse(tmp_path: Path) -> None:
     print(f"bore centre: worst {worst:.3f} µm, without correction {uncorrected:.1f} µm")
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_chip_under_one_of_the_contacts_is_refused_by_the_closure(tmp_path: Path) -> None:
     """A chip under any one contact, or under any three, from 5 to 300 µm thick."""
     refused = 0
@@ -143,7 +143,7 @@ def test_a_chip_under_one_of_the_contacts_is_refused_by_the_closure(tmp_path: Pa
     print(f"closure: {refused} of {MACHINES} chips refused")
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_any_chip_is_refused_by_the_checks_together(tmp_path: Path) -> None:
     """A chip under any stretch of the contacts of two turns, flattened differently by each: all of them, too, which always close."""
     count, refused, closing = 60, 0, 0
@@ -160,7 +160,7 @@ def test_any_chip_is_refused_by_the_checks_together(tmp_path: Path) -> None:
     print(f"all checks: {refused} of {count} chips refused, {closing} of which close")
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_latching_is_twenty_times_faster_than_stepping_at_equal_accuracy(tmp_path: Path) -> None:
     """The same machine from the same start, 1 mm before the contact."""
     machine = Machine(tmp_path, 7, 1.0)

@@ -144,7 +144,7 @@ def test_other_measurements_need_their_section_and_a_run_out(
     assert "runout.json: cannot be read" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_reports_of_a_measurement_and_of_a_bore(tmp_path: Path) -> None:
     path = machine(tmp_path)
     for _ in range(2):
@@ -177,7 +177,7 @@ def test_on_a_schedule_in_simulated_time(tmp_path: Path) -> None:
     assert waits == pytest.approx([1800.0, 1800.0], abs=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_sealed_values_need_the_builders_password(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = machine(tmp_path, more=SEED + "\n[store]\nsealed = true")
     key = new_key()
@@ -218,7 +218,7 @@ def test_a_dry_run_says_what_would_move_and_writes_nothing(tmp_path: Path, capsy
     assert not (tmp_path / "mill-probe").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_example_runs_as_it_stands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     examples = Path(__file__).parents[2] / "hil/examples"
     for name in ("probe_machine.toml", "probe_x.toml", "probe_y.toml", "probe_spindle.toml"):

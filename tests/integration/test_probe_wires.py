@@ -39,7 +39,7 @@ def lay_out(tmp_path: Path, drive: str, mode: str, **more: str) -> Path:
     return path
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("mode", ["latch", "step"])
 @pytest.mark.parametrize("drive", [probe_files.CANOPEN, probe_files.MODBUS], ids=["canopen", "modbus"])
 def test_the_same_contacts_as_without_a_wire(tmp_path: Path, drive: str, mode: str) -> None:
@@ -57,7 +57,7 @@ def test_the_same_contacts_as_without_a_wire(tmp_path: Path, drive: str, mode: s
     assert over.run_out.tip_radius_mm == pytest.approx(2.0, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_three_drives_on_one_bus_share_its_link(tmp_path: Path) -> None:
     config = load_probe_machine(lay_out(tmp_path, probe_files.VIRTUAL, "latch"))
     bench = probe_bench(config, TRUTH)
@@ -93,7 +93,7 @@ def test_modbus_drives_of_one_line_share_it(tmp_path: Path) -> None:
     assert (first.unit, second.unit) == (1, 2)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_bore_is_centred_over_canopen(tmp_path: Path) -> None:
     config = load_probe_machine(lay_out(tmp_path, probe_files.CANOPEN, "latch"))
     with connected_probe(config, bench=probe_bench(config, TRUTH)) as session:

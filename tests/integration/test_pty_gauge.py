@@ -20,6 +20,8 @@ from sim_backends.gauge import GaugeParameters
 from sim_backends.plant.parameters import ideal_axis
 from sim_backends.virtual_drive import VirtualDrive
 
+pytestmark = pytest.mark.outside
+
 ND = DisplayConfig(9600, 7, "E", 2)
 ND_COUNT = DisplayConfig(9600, 7, "E", 2, count_mm=0.0001)
 MITUTOYO = DisplayConfig(9600, 8, "N", 1, pattern="mitutoyo", fault="ERROR")

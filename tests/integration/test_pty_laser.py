@@ -20,6 +20,8 @@ from sim_backends.plant.parameters import geometric_axis, typical_axis
 from sim_backends.serve import Pace, run_in_real_time
 from sim_backends.virtual_drive import VirtualDrive
 
+pytestmark = pytest.mark.outside
+
 SETTINGS = UmdSettings(places={"screw": 4})
 
 

@@ -11,6 +11,8 @@ import pytest
 from drivers.errors import LinkLostError
 from drivers.instruments.serial_link import MAX_READ_BYTES, SerialLink
 
+pytestmark = pytest.mark.outside
+
 
 @pytest.fixture
 def ends() -> Iterator[tuple[int, str]]:

@@ -16,6 +16,8 @@ from drivers.instruments.umd_laser import UmdLaser
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
 
+pytestmark = pytest.mark.outside
+
 
 def test_a_laser_alone_shows_an_axis_that_shuttles() -> None:
     with sim("laser", "--rate", "200") as laser:
@@ -51,7 +53,6 @@ def test_a_machine_over_modbus_tcp_says_where_it_is_and_ends_when_told(number: i
         assert machine.left == {"powered": False, "moving": False, "fault_code": 0, "position_mm": 0.0}
 
 
-@pytest.mark.slow
 def test_the_faults_asked_for_happen_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:
     with sim("modbus", "--tcp", "127.0.0.1:0", "--fault", "no-reply#2") as machine:
         scan = ["scan", "--tcp", machine.place["drive"]["url"], "--units", "1", "--timeout", "5"]

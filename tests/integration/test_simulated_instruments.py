@@ -131,7 +131,7 @@ def test_there_is_garbage_between(kind: Kind) -> None:
     assert len(set(with_fault(kind, FaultKind.GARBAGE, size=12.0)) - usual) > 50
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @ALL
 def test_it_falls_silent_and_begins_anew(kind: Kind) -> None:
     with kind.bench() as bench:

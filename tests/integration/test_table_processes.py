@@ -20,6 +20,8 @@ from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 
+pytestmark = pytest.mark.outside
+
 POINTS = 400
 
 
@@ -31,7 +33,6 @@ def shown(axis: Path) -> tuple[bool, int]:
     return found["enabled"], found["points"]
 
 
-@pytest.mark.slow
 def test_one_process_writes_and_is_killed_and_others_find_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -29,7 +29,7 @@ from hil.correction.tables import DirectionalTable, TableMode, TableSet
 
 pytestmark = [
     pytest.mark.linuxcnc,
-    pytest.mark.slow,
+    pytest.mark.outside,
     pytest.mark.skipif(
         shutil.which("linuxcnc") is None or shutil.which("script") is None,
         reason="LinuxCNC is not installed (Debian: linuxcnc-uspace, bsdutils)",

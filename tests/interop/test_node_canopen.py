@@ -29,7 +29,7 @@ from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import CanOpenSlave, served
 from sim_backends.servo import SimulatedServo
 
-pytestmark = pytest.mark.vcan
+pytestmark = [pytest.mark.vcan, pytest.mark.outside]
 
 BUS = "vcan0"
 DRIVE, PEER = 5, 0x20

@@ -151,7 +151,11 @@ BACKENDS: dict[str, Backend] = {
     "modbus tcp, vendor map": _modbus("vendor_style", serial=False),
     "modbus rtu, vendor map": _modbus("vendor_style", serial=True),
 }
-MARKS = {"canopen, socketcan": pytest.mark.vcan}  # run in the guest where this kernel has no SocketCAN
+MARKS = {
+    "canopen, socketcan": pytest.mark.vcan,  # run in the guest where this kernel has no SocketCAN
+    "modbus rtu, cia402 map": pytest.mark.outside,  # pseudo-terminals
+    "modbus rtu, vendor map": pytest.mark.outside,
+}
 
 
 def home(rig: Rig) -> None:

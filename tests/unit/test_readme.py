@@ -34,7 +34,7 @@ def test_the_number_of_tests_is_about_what_it_says(request: pytest.FixtureReques
     assert said is not None
     config = request.config
     asked = config.args, config.getoption("markexpr"), config.getoption("keyword"), config.getoption("lf", False)
-    if asked == (config.getini("testpaths"), "not slow", "", False):
+    if asked == (config.getini("testpaths"), "not outside", "", False):
         count = len(request.session.items)
     else:
         words = [sys.executable, "-m", "pytest", "--collect-only", "-q", "-n", "0", "-p", "no:cacheprovider"]

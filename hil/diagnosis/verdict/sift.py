@@ -101,9 +101,6 @@ def sift(chosen: Chosen, left_out: HeldOut, *, is_saturated: bool) -> Sifted:
     structures = structure_estimates(last.searcher, beside.chosen.hits, beside.chosen.kept, last.noise)
     misfits, nobodys = _parted(beside.left, lambda one: _is_misfit(one, beside.chosen))
     whole = beside_the_rest(replace(beside, left=nobodys, misfits=misfits, structures=structures), nobodys)
-    misfits, orphans = _parted(misfits, lambda one: _may_be_of(one, whole.chosen))
-    if orphans:  # the effect went of which they were a misfit
-        whole = beside_the_rest(replace(whole, left=(*whole.left, *orphans), misfits=misfits), orphans)
     return replace(whole, unexplained=whole.unexplained or bool(whole.left))
 
 
@@ -267,11 +264,6 @@ def _is_misfit(left: LeftOver, chosen: Chosen) -> bool:
         and left.rms.value < policy().shape * projection.rms_left(term.error_um(columns))
         for term in chosen.fit.found
     )
-
-
-def _may_be_of(misfit: LeftOver, chosen: Chosen) -> bool:
-    """Whether an effect is still in the fit of which this is a misfit."""
-    return _is_wander(misfit, chosen) or any(_is_in_columns(misfit, term, chosen) for term in chosen.fit.found)
 
 
 def _is_in_columns(left: LeftOver, term: Term, chosen: Chosen) -> bool:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.outside
+
 SCRIPT = Path(__file__).parents[3] / "hil" / "bootstrap.sh"
 
 # notes its calls; `-m venv DIR` puts itself and a command `hil` there; `-m pip` does as the environment says

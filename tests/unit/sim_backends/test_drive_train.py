@@ -121,7 +121,7 @@ def by_the_papers_equations(train: DriveTrain, up_um: float, speed_um_s: float) 
     return travel, train.coupling_n_per_um * ((up_um - travel) - xs) * 1000.0 / train.rated_n
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_it_moves_as_the_papers_equations_say() -> None:
     train, speed = DriveTrain(), 100.0
     travel, expected = by_the_papers_equations(train, 100.0, speed)

@@ -65,7 +65,7 @@ def test_damaged_lines(tmp_path: Path, data: st.DataObject) -> None:
     _load(tmp_path / "model.toml", "\n".join(lines))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("name", sorted(TEXTS))
 def test_every_key_given_every_kind_of_value(tmp_path: Path, name: str) -> None:
     """One key of each section at a time; every value that loads must be one that the section may hold."""

@@ -13,6 +13,8 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis import diagnose
 
+pytestmark = pytest.mark.outside
+
 Array = np.ndarray
 NOISE_UM = 0.3
 

@@ -16,6 +16,8 @@ from hil.diagnosis.search.searcher import Searcher
 from hil.effects import ALL
 from hil.records.rows import Records
 
+pytestmark = pytest.mark.outside
+
 
 @pytest.fixture(scope="module")
 def searcher() -> Searcher:

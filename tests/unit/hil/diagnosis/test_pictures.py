@@ -28,7 +28,7 @@ def warming(runs: int) -> Records:
     return Records.of(dict(zip(names, zip(*rows, strict=True), strict=True)))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_residual_and_the_effect_are_those_of_the_figures(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

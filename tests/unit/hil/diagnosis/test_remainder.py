@@ -51,6 +51,8 @@ from hil.effects.survey import Survey
 from hil.effects.warming import as_far_as_seen
 from hil.records.rows import Records
 
+pytestmark = pytest.mark.outside
+
 NOISE_UM = 0.5
 
 

@@ -139,7 +139,7 @@ def note(tmp_path: Path) -> Path:
     return tmp_path / "before.json"
 
 
-both = pytest.mark.parametrize("name", ["simulated_domain", pytest.param("simulated_array", marks=pytest.mark.slow)])
+both = pytest.mark.parametrize("name", ["simulated_domain", pytest.param("simulated_array", marks=pytest.mark.outside)])
 
 
 @pytest.mark.parametrize("name", FORMS)
@@ -354,7 +354,7 @@ def test_whatever_happens_at_some_frames(happening: str, tmp_path: Path) -> None
         assert happens_at("simulated_domain", happening, frame, tmp_path)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("happening", HAPPENINGS)
 @both
 def test_whatever_happens_at_every_frame(name: str, happening: str, tmp_path: Path) -> None:

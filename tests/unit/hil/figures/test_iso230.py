@@ -156,7 +156,7 @@ def as_records(campaign: dict[tuple[float, int], list[float]], rng: random.Rando
     return Records.of(dict(zip(("run", "direction", "target_mm", "measured_mm"), zip(*rows, strict=True), strict=True)))
 
 
-@pytest.mark.parametrize("campaigns", [200, pytest.param(1000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("campaigns", [200, pytest.param(1000, marks=pytest.mark.outside)])
 def test_agrees_with_the_text_of_the_standard_on_random_campaigns(campaigns: int) -> None:
     rng = random.Random(campaigns)
     for _ in range(campaigns):

@@ -40,7 +40,7 @@ def cluster() -> Any:
         yield found
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_dask_workers_one_of_which_is_killed_half_way(cluster: Any) -> None:
     results: dict[int, tuple[int, int]] = {}
     killed = 0
@@ -56,7 +56,7 @@ def test_dask_workers_one_of_which_is_killed_half_way(cluster: Any) -> None:
     assert len(processes) >= 2
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_an_index_made_by_dask_workers_one_of_which_is_killed_is_that_of_this_computer(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -49,7 +49,7 @@ def test_a_smooth_rise_over_the_loads_travel_comes_back() -> None:
     assert rise.lengths_mm == pytest.approx(truth.lengths_mm, rel=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_stated_uncertainty_is_that_of_measuring_again() -> None:
     """Strokes that differ as wholes, as a machine's do: the amount of each is off by a micrometre. 40 measurements of 8 strokes."""
     amounts, stated = [], []
@@ -66,7 +66,7 @@ def test_the_stated_uncertainty_is_that_of_measuring_again() -> None:
     assert np.sqrt(np.mean(np.square(stated))) == pytest.approx(np.std(amounts, ddof=1), rel=0.35)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_shape_that_is_true_is_chosen_and_strokes_that_were_too_short_are_told() -> None:
     def strokes(truth: Rise) -> list[MeasuredReversal]:
         return [reversal_of(load_mm(truth, MOTOR_MM), seed, 1 - 2 * (seed % 2)) for seed in range(4)]

@@ -11,6 +11,8 @@ import pytest
 
 from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
+pytestmark = pytest.mark.outside
+
 PROGRAM = """
 import ctypes, os, signal, sys, threading, time
 from hil.machine.interrupts import ending_by_signals

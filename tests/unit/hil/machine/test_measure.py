@@ -232,7 +232,7 @@ def travelled(records: Records) -> np.ndarray:
     return np.column_stack([records.error_um, 1000.0 * records["since_reversal_mm"]])
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 @pytest.mark.parametrize("steps", [STROKES, proof_steps(LOST_MOTION, 3)], ids=["strokes", "moves"])
 def test_rows_that_go_on_from_the_one_before_are_the_same_wherever_they_were_interrupted(
     tmp_path: Path, steps: list[Step]

@@ -173,7 +173,7 @@ def test_by_pulses_within_one(tmp_path: Path) -> None:
     assert found.corrected["face_mm"] == pytest.approx(27.95, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_fifty_machines_measure_with_the_run_out_that_they_found(tmp_path: Path) -> None:
     """From M90 to each feature, at any angle, with pre-travel, noise and a spindle whose zero is anywhere."""
     worst_um = uncorrected_um = 0.0

@@ -58,7 +58,7 @@ def test_nothing_measured_yet(tmp_path: Path) -> None:
     assert store.history() == []
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_sealed_values_need_the_builders_key_to_be_changed(tmp_path: Path) -> None:
     key = new_key()
     builder = RunOutStore(tmp_path, "mill", Seal("secret of the probe", key.public_key(), key))

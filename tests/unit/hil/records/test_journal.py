@@ -320,7 +320,7 @@ with RowJournal(Path(sys.argv[1]), names) as journal:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_no_confirmed_row_is_lost_to_kill_9(tmp_path: Path) -> None:
     """One process after another goes on with the same file, each killed after a random number of confirmed rows."""
     path = tmp_path / "measure.csv"

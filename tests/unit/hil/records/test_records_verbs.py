@@ -212,7 +212,7 @@ def test_a_table_with_a_hole_is_refused(place: Path, capsys: pytest.CaptureFixtu
     assert "h.csv: run 2 lacks target 5 mm" in capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_an_axis_over_months_and_its_trend(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """E grows by 1 µm in 30 days, on top of the 1.0 of the reversal."""
     start = datetime(2026, 1, 5, 7, 30, tzinfo=UTC)
@@ -277,7 +277,7 @@ def test_a_trend_needs_three_dates_over_a_day() -> None:
     assert (line.slope_um, line.std_um) == (pytest.approx(1.0), pytest.approx(0.0, abs=1e-9))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_signed_figure_is_drawn_whole(place: Path) -> None:
     from hil.app.report.history import history_figure  # noqa: PLC0415  (plots are slow to import)
     from hil.app.report.svg import LIGHT  # noqa: PLC0415

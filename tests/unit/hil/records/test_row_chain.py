@@ -187,7 +187,7 @@ class PowerLoss(Exception):  # noqa: N818
 
 @given(st.integers(0, 900), st.booleans())
 @settings(max_examples=200, deadline=None)
-@pytest.mark.slow
+@pytest.mark.outside
 def test_power_lost_at_any_byte_costs_at_most_the_row_that_was_being_written(
     tmp_path_factory: pytest.TempPathFactory, left: int, synced: bool
 ) -> None:

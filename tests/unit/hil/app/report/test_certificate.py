@@ -158,7 +158,7 @@ def values_of(xml: bytes) -> dict[str, tuple[float, str, float | None]]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_a_campaign_has_the_same_figures_in_json_report_certificate_and_dcc(place: Path) -> None:
     argv = ["verify.csv", "--axis-file", "x.toml", "--out", "r.html", "--pdf", "r.pdf", "--json", "r.json"]
     assert call(*argv, "--certificate", "c.pdf", "--dcc", "c.xml") == 0
@@ -374,7 +374,7 @@ def test_every_kind_is_valid_against_ptb_s_schema_and_what_is_broken_is_not(plac
     assert dcc.schema_errors(xml.replace(b">DE<", b">Germany<"), schema)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_two_campaigns_and_a_diagnosis_are_at_most_eight_sheets_and_open_with_the_sentence(place: Path) -> None:
     Path("before.csv").write_text(to_csv(rows(other_targets(), 4.0)))
     Path("found.json").write_text(json.dumps({"diagnosis": FOUND}))

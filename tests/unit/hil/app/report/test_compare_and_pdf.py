@@ -76,7 +76,7 @@ def test_one_run_has_no_scatter_and_no_common_stretch_no_difference() -> None:
     assert len(difference(campaign(1), campaign(2, targets=TARGETS + 1000.0)).target_mm) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_verb_compares(place: Path) -> None:
     assert main(["report", "--compare", "a.csv", "b.csv", "--out", "c.html", "--png", "png", "--json", "c.json"]) == 0
     page = Path("c.html").read_text()
@@ -102,7 +102,7 @@ def test_what_cannot_be_is_one_line(
     assert not Path("c.html").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_with_an_axis_file_every_figure_has_its_uncertainty_on_page_and_paper(place: Path) -> None:
     path = lay_out(place / "axis", correction="band_um = [-1.0, 4.0]")
     path.write_text(path.read_text() + "\n[uncertainty]\ndevice_um_per_m = 0.8\nvariation_um = 1.0\n")
@@ -140,7 +140,7 @@ def test_a_pdf_without_its_renderer_is_one_line_and_nothing_is_written(
     assert main(["report", "a.csv", "--out", "r.html"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_same_data_give_the_same_paper() -> None:
     from hil.app.report.data import NamedCampaign, ReportData  # noqa: PLC0415  (plots are slow to import)
     from hil.app.report.pdf import render_pdf  # noqa: PLC0415
@@ -149,7 +149,7 @@ def test_the_same_data_give_the_same_paper() -> None:
     assert render_pdf(data) == render_pdf(data)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_signatures_are_shown_and_a_bad_one_is_a_verdict(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lay_out(place / "axis")
     key = load_private_key(place / "axis" / "builder.key", PASSWORDS["HIL_KEY_PASSWORD"])

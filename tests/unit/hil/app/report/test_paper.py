@@ -163,7 +163,7 @@ def made() -> list[Sheet]:
     return read(render_pdf(whole(), "12" * 32))
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_paper_says_what_the_page_says_on_numbered_sheets(made: list[Sheet]) -> None:
     page = render_html(whole())
     printed = {word for sheet in made for word in sheet.words}
@@ -177,14 +177,14 @@ def test_paper_says_what_the_page_says_on_numbered_sheets(made: list[Sheet]) -> 
         assert (sheet.width, sheet.height) == pytest.approx((210 * MM, 297 * MM), abs=0.1)  # A4
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_nothing_leaves_its_sheet_and_no_words_lie_on_others(made: list[Sheet]) -> None:
     assert sum(len(sheet.drawn) for sheet in made) > 100
     for sheet in made:
         check_room(sheet)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_words_too_long_for_a_line_are_cut_and_lose_no_letter() -> None:
     long = "µx-" + "abcdefghij" * 25
     blocks = [
@@ -266,7 +266,7 @@ def test_a_drawing_fills_the_width_in_its_own_shape_and_stays_whole() -> None:
         assert all(box[1] >= 18 * MM - 1 for box in sheet.paths if box[3] - box[1] > 72)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_other_processes_give_the_same_bytes() -> None:
     """Whatever order their sets have, their clock and their zone."""
     script = (

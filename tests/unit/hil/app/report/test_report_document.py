@@ -161,7 +161,7 @@ def test_ids_are_unique_and_every_reference_has_its_target(page: Page) -> None:
     assert {link[1:] for link in page.links} <= set(page.ids)
 
 
-@pytest.mark.slow
+@pytest.mark.outside
 def test_the_same_data_give_the_same_bytes_in_another_process() -> None:
     here = Path(__file__)
     code = (
