@@ -11,11 +11,13 @@ from typing import Any
 import matplotlib as mpl
 import pytest
 from support import panel
+from support.campaigns import campaign
 from support.panel import Person
 from support.screenshots import DEFECTS, OUT_OF_SIGHT, PALE, at_rest, foreign_fonts, settled
 from support.two_axes import lay_out_axes
 
 from hil.app.panel.texts import load
+from hil.records.rows import to_csv
 
 pytestmark = [
     pytest.mark.outside,
@@ -93,6 +95,12 @@ WIDEST = "−888.888"
 def machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     directory = tmp_path_factory.mktemp("machine")
     paths = lay_out_axes(directory)
+    verified = directory / "X-campaign" / "verify-001"
+    verified.mkdir(parents=True)
+    (verified / "campaign.json").write_text('{"kind": "verify", "axis": "X"}')
+    rows = to_csv(campaign(lambda c: 2.0 * c["direction"], runs=2, targets=6))
+    (verified / "verify.csv").write_text(f"# begun 2026-04-11T08:00:00+00:00\n{rows}")
+    (verified / "finished").touch()
     for path in EXAMPLES.glob("probe_*.toml"):
         shutil.copy(path, directory)
     return (*paths, directory / "probe_machine.toml")
@@ -139,6 +147,38 @@ def test_nothing_overlaps_is_cut_or_leaves_its_card(person: Person, size: tuple[
             out = settled(person, OUT_OF_SIGHT, [*BAR, *wanted])
             wrong += [f"{page}: {name} is out of sight" for name in out]
     assert not wrong, "\n".join(wrong)
+
+
+LEGENDS = """
+    const found = {};
+    for (const box of document.querySelectorAll('.hil-plot')) {
+        const chart = getElement(Number(box.id.slice(1)))?.chart, option = chart?.getOption();
+        if (!box.getBoundingClientRect().width || !option?.legend?.[0]?.show || !option.grid?.length) continue;
+        const curves = ['as found', 'with the tables', 'verified', 'uncorrected'].flatMap((one) => [one + ' +', one + ' −']);
+        chart.setOption({ series: curves.map((name) => ({ name, type: 'line', data: [[0, 0], [1, 1]] })) });
+        const legend = chart.getViewOfComponentModel(chart.getModel().getComponent('legend')).group;
+        const own = legend.getBoundingRect(), grid = chart.getModel().getComponent('grid').coordinateSystem.getRect();
+        const ticks = option.yAxis[0].axisLabel.fontSize / 2;
+        found[box.dataset.name] = [legend.y + own.y + own.height, grid.y - ticks];
+    }
+    return found;
+"""
+"""Script: of each chart with a legend, here of eight curves, where that ends and where the highest label of the axis begins, px."""
+
+
+@pytest.mark.parametrize("size", [(800, 600), *SIZES], ids=lambda size: f"{size[0]}")
+def test_no_legend_covers_a_chart(person: Person, size: tuple[int, int]) -> None:
+    sized(person, size)
+    found: dict[str, list[float]] = {}
+    for page in ("calibrate", "backlash", "lost_motion"):
+        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
+        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        at_rest(person)
+        if page == "calibrate":
+            person.waits(lambda: person.drawn("calibrate.curves"), "what is on disk is drawn")
+        found |= person.driver.execute_script(LEGENDS)
+    assert len(found) >= 3, found
+    assert not {name: ends for name, ends in found.items() if ends[0] > ends[1]}
 
 
 def test_what_overlaps_is_cut_or_hidden_is_noticed(person: Person) -> None:

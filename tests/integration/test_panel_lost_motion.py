@@ -26,7 +26,7 @@ ELEMENTS = {
     *(f"lost_motion.{name}" for name in ("instructions", "plan", "position", "remaining", "step", "messages", "start")),
     *(
         f"lost_motion.{name}"
-        for name in ("resume", "store", "amount", "std", "shape", "after", "before", "over", "state")
+        for name in ("left_over", "store", "amount", "std", "shape", "after", "before", "over", "state")
     ),
     *(f"lost_motion.{name}" for name in ("rise", "beginning", "moves", "rows", "contenders", "fitted")),
     *(f"circle.{name}" for name in ("title", "other", "radius", "feed", "clockwise", "start", "step", "polar", "ring")),

@@ -93,7 +93,8 @@ class Person:
         self.waits(lambda: self.finds(name).is_displayed(), f"{name} is unfolded")
 
     def clicks(self, name: str) -> None:
-        """Click an element, which is unfolded before."""
+        """Click an element, once it is there, which is unfolded before."""
+        self.waits(lambda: self.finds(name), f"{name} is there")
         if not self.finds(name).is_displayed() and self.finds(name).find_elements(By.XPATH, IN_FOLD):
             self.opens(name)
         self.waits(lambda: self.finds(name).is_enabled() and self.finds(name).is_displayed(), f"{name} can be clicked")
