@@ -105,7 +105,9 @@ class CanOpenDrive(StoppableDrive):
                 self.scaling,
                 velocity=settings.velocity_unit,
                 acceleration=settings.acceleration_unit,
-                vendor=self.identity.vendor_id,
+                vendor=self.identity.vendor_id
+                if self.node.eds is None
+                else self.node.eds.maker(self.identity.vendor_id),
             )
             self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
             self.motion = ProfileMotion(
@@ -125,7 +127,11 @@ class CanOpenDrive(StoppableDrive):
             self._stores = stores_on_command(self.sdo)
             self._note_ramps()
             if self.node.eds is not None:
-                self.notes += self.node.eds.doubts(self.identity.vendor_id, self.identity.product_code)
+                if not self.identity.vendor_id:
+                    self.notes.append(
+                        f"drive {self.name} reports no vendor (1018h:1): it is that of the maker's file (eds)"
+                    )
+                self.notes += self.node.eds.doubts(self.identity.vendor_id or None, self.identity.product_code or None)
                 self.notes += [f"the maker's file (eds): {note}" for note in summary(self.node.eds.notes)]
             self.motion.note_limits(self.limits.max_velocity_mm_s, self.limits.max_acceleration_mm_s2)
             self._set_up()

@@ -101,6 +101,10 @@ class EdsFile:
         """Vendor numbers of the file: of its head, and of 1018h; empty where it names none (0 counts as none)."""
         return self._numbers(self.vendor_number, 1)
 
+    def maker(self, reported: int | None) -> int:
+        """Vendor number of the drive's maker: reported by it (1018h), else the one that the file names; 0 where neither does."""
+        return reported or (min(self.vendors()) if len(self.vendors()) == 1 else 0)
+
     def products(self) -> frozenset[int]:
         """Product numbers of the file, as `vendors`."""
         return self._numbers(self.product_number, 2)

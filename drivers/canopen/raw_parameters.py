@@ -291,7 +291,9 @@ class CanOpenRawParameters(RawParameters):
             return {name: facts[name] for name in names if name in facts}
 
         if self._scaling is not None:
-            self._motion = yield from self._read_units(self._scaling, int(facts.get("vendor_id", 0)))
+            vendor = int(facts.get("vendor_id", 0))
+            vendor = vendor if self._eds is None else self._eds.maker(vendor)
+            self._motion = yield from self._read_units(self._scaling, vendor)
         model = chosen("vendor_id", "product_code", "device")
         return DriveIdentity("canopen", model, chosen("revision", "hardware", "firmware"), chosen("serial"))
 

@@ -160,7 +160,9 @@ def _canopen(args: argparse.Namespace, ask: Answers, notes: DriveNotes | None) -
         sdo = SdoClient(link, args.node, f"node {args.node}", timeout_s=args.timeout, axis=axis)
         if wrong := _not_this_drive(args, node, notes):
             return FirstContact(None, read_units(sdo), [*told, wrong])
-        described = _described(args, ask, notes, sdo, node.vendor_id or 0)
+        described = _described(
+            args, ask, notes, sdo, (node.vendor_id or 0) if eds is None else eds.maker(node.vendor_id)
+        )
     return replace(described, notes=[*told, *_file_notes(eds, node), *described.notes])
 
 

@@ -659,6 +659,30 @@ def test_a_dictionary_file_of_another_vendor_is_named(make: MakeRig, tmp_path: P
     assert any(note.startswith("the maker's file (eds): ") and "40F7" in note for note in other.drive.notes)
 
 
+@pytest.mark.parametrize(
+    ("vendor", "unit"),
+    [("0x2BE", "rpm"), ("0xFB", "rpm"), ("0x26C", "rpm"), ("0x147", "rpm"), ("0x4E1", "counts/s"), ("0", "counts/s")],
+)
+@pytest.mark.parametrize("silent", [True, False])
+def test_a_drive_without_an_identity_has_the_units_of_its_makers_file(
+    make: MakeRig, tmp_path: Path, vendor: str, unit: str, silent: bool
+) -> None:
+    """Oriental Motor, maxon, Nanotec and Faulhaber count r/min by their manuals, and no object says so."""
+    path = tmp_path / "maker.eds"
+    path.write_text(
+        EDS.read_text(encoding="utf-8")
+        .replace("0x000004E1", vendor)
+        .replace("VendorNumber=0x4E1", f"VendorNumber={vendor}"),
+        encoding="utf-8",
+    )
+    rig = make(lacking=(0x1018, *(range(0x60A9, 0x60AB))) if silent else range(0x60A9, 0x60AB))
+    rig.drive.node.eds = load_eds(path, NODE)
+    units = rig.opened().motion_scaling()
+    assert units.velocity.text == (unit if silent else "counts/s")
+    assert not units.ambiguous
+    assert any("reports no vendor" in note for note in rig.drive.notes) is silent
+
+
 def test_a_silent_heartbeat_is_a_lost_link(make: MakeRig) -> None:
     rig = make(CanFault(K.HEARTBEAT_STOPS, at_s=1.0), heartbeat_s=0.1)
     drive = rig.opened()

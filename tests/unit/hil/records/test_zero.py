@@ -24,6 +24,7 @@ class Drive:
     now: DriveZero = field(default_factory=lambda: DriveZero(37, 0.0, {"serial": 7}))
     homed: bool | None = None
     before_homing: Any = None
+    homed_elsewhere: Any = None
 
     def zero(self) -> DriveZero:
         return self.now
@@ -251,3 +252,22 @@ def test_methods_that_are_a_risk_are_named(method: int | None) -> None:
 @pytest.mark.parametrize("method", [1, 2, 14, 17, 21, 30])
 def test_methods_with_a_switch_are_none(method: int) -> None:
     assert homing_risk(True, method) is None
+
+
+@pytest.mark.parametrize("absolute", [False, True])
+def test_a_drive_that_homed_elsewhere_is_not_believed_when_it_says_that_it_is_homed(
+    tmp_path: Path, absolute: bool
+) -> None:
+    drive = Drive()
+    begin(keeper(tmp_path, drive, absolute_encoder=absolute), drive)
+    drive.before_homing()
+    drive.homed_elsewhere()
+    drive.homed = True
+    with pytest.raises(ZeroError, match="--new-zero"):
+        begin(keeper(tmp_path, drive, absolute_encoder=absolute), drive)
+    anew = keeper(tmp_path, drive, absolute_encoder=absolute)
+    anew.anew = True
+    begin(anew, drive)
+    drive.before_homing()
+    anew.at_reference(20.0, -3.25, 1000, None)
+    begin(keeper(tmp_path, drive, absolute_encoder=absolute), drive)
