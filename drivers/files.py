@@ -80,7 +80,7 @@ def decode_text(
     """
     for begin, form in _OTHER_FORMS.items():
         if data.startswith(begin):
-            raise InputError(f"is {form}, expected {expected}", path=path)
+            raise InputError(f"is {form}, expected {expected}; export it in that form", path=path)
     codec = encoding_of(data)
     if codec == "utf-8" and b"\0" in data[:2]:
         raise InputError(
@@ -97,7 +97,7 @@ def decode_text(
         raise InputError(f"byte {data[at]:02X}h is not {name} text", path=path, line=line) from error
     for form, pattern in (("XML, as XDD, XDC and ESI files are", _XML), ("an HTML page", _HTML)):
         if pattern.match(text):
-            raise InputError(f"is {form}, expected {expected}", path=path)
+            raise InputError(f"is {form}, expected {expected}; export it in that form", path=path)
     return text
 
 
