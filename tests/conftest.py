@@ -87,12 +87,13 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 @pytest.fixture(autouse=True, scope="session")
 def quick_scrypt() -> Iterator[None]:
-    """Stores that tests make stretch their password over 1 MiB: at its true cost each takes 0.2 s, some ten minutes in all.
+    """Stores and keys that tests make stretch their password over 1 MiB: at its true cost each takes 0.2 s, some ten minutes in all.
 
     What programs of their own make has the true cost, and `test_sealed` tests what that is.
     """
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("hil.correction.sealed.sealing.DEFAULT_COST", Cost(n=1 << 10, r=8, p=1))
+        for name in ("sealing.DEFAULT_COST", "keys.KEY_COST"):
+            patch.setattr(f"hil.correction.sealed.{name}", Cost(n=1 << 10, r=8, p=1))
         yield
 
 

@@ -153,6 +153,7 @@ def test_a_noise_that_few_runs_show_makes_uncertainties_wider() -> None:
     assert alone == pytest.approx(1.0, rel=1e-6)
 
 
+@pytest.mark.outside
 def test_errors_are_as_large_as_stated_where_noise_remembers() -> None:
     """Noise that remembers ten rows, about a drift with a temperature: under the fitted noise model alone they are larger."""
     off = []
@@ -180,6 +181,7 @@ def test_errors_are_as_large_as_stated_where_noise_remembers() -> None:
     assert 0.9 < after < 1.1 < before
 
 
+@pytest.mark.outside
 def test_a_course_of_which_only_the_sum_is_determined_is_as_large_as_what_the_table_does_not_hold() -> None:
     """Machines of the study whose cause fades after a reversal as no form of the catalogue does; where every stroke is long that is
     nearly a function of position and direction, and 76 and 12 µm of lost motion were said of errors of 2 and 3 µm. Of the first one

@@ -119,6 +119,7 @@ def behind_the_screw(c: dict[str, Floats]) -> Floats:
     return out
 
 
+@pytest.mark.outside
 def test_a_sensors_lag_does_not_begin_anew_in_the_rows_left_out() -> None:
     records, noise_um = workshop(12, behind_the_screw, ratio=2.0, warm_s=3000.0)
     found = diagnose(records)
@@ -129,6 +130,7 @@ def test_a_sensors_lag_does_not_begin_anew_in_the_rows_left_out() -> None:
     assert left_um < 1.4 * float(np.std(noise_um)), "begun anew in each run it is 2 to 8 times the noise"
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("jump_um", [1.5, 3.0])
 def test_where_the_file_holds_the_table_alone_after_is_what_was_before(jump_um: float) -> None:
     found = diagnose(campaign(lambda c: wavy(c) + jump_um * (c["time_s"] > 300.0), runs=4))

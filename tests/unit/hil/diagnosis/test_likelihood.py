@@ -140,6 +140,7 @@ def test_an_amplitude_that_may_be_none_begins_at_0() -> None:
     assert Estimate(-0.4, 0.3, (-1.0, 0.2)).size == Estimate(0.4, 0.3, (0.0, 1.0))
 
 
+@pytest.mark.outside
 def test_the_last_steps_end_at_the_maximum() -> None:
     """A search that ended one and a half standard uncertainties of the period off."""
     searcher, choice = searched("a period")
@@ -150,6 +151,7 @@ def test_the_last_steps_end_at_the_maximum() -> None:
         assert moved.theta[0] == pytest.approx(term.theta[0], abs=0.02 * off)
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("seeds", [range(40)])
 def test_the_intervals_of_a_course_whose_end_is_not_seen_hold_the_truth(seeds: range) -> None:
     """5 µm that settle within 900 s, in rows of 600 s: of both parameters 95 % of the intervals hold them. Linearised fewer do."""
@@ -215,6 +217,7 @@ def by_minos(
     return [(value + one.lower, value + one.upper) for value, one in zip(minuit.values, found, strict=True)]
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("name", CASES)
 def test_every_interval_is_that_of_minos(name: str) -> None:
     searcher, choice = searched(name)

@@ -234,6 +234,7 @@ def test_more_than_noise_memory_and_offsets_explain_is_never_silent() -> None:
     assert "left out" in said
 
 
+@pytest.mark.outside
 def test_a_diagnosis_states_the_floor_with_its_degrees_of_freedom_and_none_without_repeats() -> None:
     records, noise_um = workshop(21, wave_by_load, ratio=2.0)
     said = diagnose(records).to_json()

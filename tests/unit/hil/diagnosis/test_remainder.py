@@ -51,8 +51,6 @@ from hil.effects.survey import Survey
 from hil.effects.warming import as_far_as_seen
 from hil.records.rows import Records
 
-pytestmark = pytest.mark.outside
-
 NOISE_UM = 0.5
 
 
@@ -110,6 +108,7 @@ def rest_of(records: Records) -> tuple[LeftOver, ...]:
         return left_over(searcher, (), noise)
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(("cause", "columns"), CAUSES, ids=lambda value: getattr(value, "__name__", ""))
 def test_the_columns_that_carry_any_form_are_named_with_its_size(cause: Cause, columns: set[str]) -> None:
     found = rest_of(workshop(11, cause, ratio=2.0, noise_um=NOISE_UM, warm_s=3000.0)[0])
@@ -130,6 +129,7 @@ def both(c: dict[str, Floats]) -> Floats:
     return 0.8 * wave_by_load(c) + worn_when_warm(c)
 
 
+@pytest.mark.outside
 def test_a_second_cause_is_found_beside_the_first_and_a_fragment_is_none() -> None:
     found = rest_of(workshop(21, both, ratio=3.0, noise_um=NOISE_UM, warm_s=3000.0)[0])
     assert {"load_kg", "target_mm"} in [set(one.columns) - {"direction"} for one in found]
@@ -196,6 +196,7 @@ def scores(campaign: CampaignRows, error_um: Floats, monkeypatch: pytest.MonkeyP
     return by_number, as_it_is
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("seed", [109_000, 109_009])
 def test_a_few_rows_that_vary_more_than_the_others_are_no_structure(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """Machines without a cause, with few fast rows: noise that grows with the speed, and heavy tails."""
@@ -220,6 +221,7 @@ def test_however_large_a_few_rows_are_their_sizes_alone_are_no_structure(
     assert as_it_is < 2.0
 
 
+@pytest.mark.outside
 def test_a_block_of_a_few_uneven_rows_is_known_by_the_signs_and_one_of_a_cause_too() -> None:
     """A machine without a cause, whose noise grows with the speed: a function of speed and position was found on its fast rows."""
     rows = draw("clean", 109_000).fit.records
@@ -241,6 +243,7 @@ def test_a_block_of_a_few_uneven_rows_is_known_by_the_signs_and_one_of_a_cause_t
     assert share_by_signs(null, of_cause) < policy().by_signs
 
 
+@pytest.mark.outside
 def test_a_cause_is_found_and_named_though_a_few_uneven_rows_seem_clearer() -> None:
     """Rows of a machine without a cause, the noise of the fastest twelve times as large: by number their products take all places."""
     campaign = prepare(Records.of(draw("clean", 109_000).fit.records))
@@ -326,12 +329,14 @@ def test_a_campaign_at_one_place_has_no_slopes_along_the_travel() -> None:
     assert diagnose(Records.of(columns)).findings
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("seed", [802541, 802583], ids=["its finding was taken away", "along the travel"])
 def test_a_misfit_that_no_effect_has_is_unexplained(seed: int) -> None:
     """A load that a few rows showed, and a lag: neither has what is left, a course of time or a wave along the travel."""
     assert outcome("outside weak", seed)["said"]["unexplained"]
 
 
+@pytest.mark.outside
 def test_what_was_set_anew_from_run_to_run_is_a_rival_of_what_goes_with_it() -> None:
     """A load that nobody logged, along the travel: the temperatures happened to go with it, and were sure of it."""
     (finding,) = outcome("missing", 802619)["said"]["findings"]
@@ -340,6 +345,7 @@ def test_what_was_set_anew_from_run_to_run_is_a_rival_of_what_goes_with_it() -> 
     assert {"unexplained", "load_deflection"} <= {name for name, *_ in finding["rivals"]}
 
 
+@pytest.mark.outside
 def test_a_worn_zone_that_makes_the_rows_left_out_worse_is_not_sure() -> None:
     """Lost motion without its column: a zone of 3.8 ± 20 µm holds it on the rows, and one run left out is off by 5.7 µm for it."""
     said = outcome("missing", 805559)["said"]
@@ -348,6 +354,7 @@ def test_a_worn_zone_that_makes_the_rows_left_out_worse_is_not_sure() -> None:
     assert said["unexplained"]
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("tails", ["normal", "heavy", "faster"])
 def test_nothing_is_left_of_noise(tails: str) -> None:
     for seed in range(4):
@@ -403,6 +410,7 @@ def turning_part_in_a_warm_bed(c: dict[str, Floats]) -> Floats:
     return (c["temp_bed_c"] - 21.0) * np.sin(2 * np.pi * 6.3 * c["target_mm"] / TRAVEL_MM)
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("cause", [relay_of_the_bed, the_bed_late, turning_part_in_a_warm_bed])
 def test_a_slow_column_is_named_by_what_it_was_before_too_and_beside_fine_waves(cause: Cause) -> None:
     found = rest_of(with_a_slow_bed(41, cause, 1.2))
@@ -414,6 +422,7 @@ def test_a_slow_column_is_named_by_what_it_was_before_too_and_beside_fine_waves(
     assert "load_kg" not in {*first.columns, *(name for alike in first.equivalent.values() for name in alike)}
 
 
+@pytest.mark.outside
 def test_a_slow_column_that_another_may_stand_for_is_named_beside() -> None:
     """The nut follows the bed 0.4 rad behind: no function of it holds the bed to nine tenths, but what steps with the one nearly does
     with the other; with no other column."""
@@ -497,6 +506,7 @@ def test_each_kind_of_block_has_a_limit_of_its_own(
     assert ("direction" in found[1].columns) == directed
 
 
+@pytest.mark.outside
 def test_rows_hit_at_random_are_noticed_without_a_column_that_announces_them() -> None:
     """One row in ten is four standard deviations off beyond the middle: the bound of Markov's inequality takes 5 of these 20 for
     a cause, the share of signs drawn anew 13, and of pure noise none.
@@ -531,6 +541,7 @@ def test_the_chance_by_signs_is_that_of_all_choices(monkeypatch: pytest.MonkeyPa
         assert chance == pytest.approx(share, abs=4.0 * np.sqrt(share / hits.DRAWS) + 1.0 / hits.DRAWS)
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("draws", ["signs", "cauchy"])
 def test_large_rows_of_random_sign_are_noise(draws: str) -> None:
     """Heavy tails alone: of fifty campaigns hardly one may be taken for more."""
@@ -573,6 +584,7 @@ def test_rows_far_off_are_noticed_whatever_their_signs_and_heavy_tails_are_not(t
     assert heavy == 0
 
 
+@pytest.mark.outside
 def test_ten_rows_of_three_hundred_far_off_are_no_noise() -> None:
     """Those of a row in ten that a hinge hits: 7 to 31 standard deviations off, all on one side."""
     assert outcome("outside strong", 803179)["said"]["unexplained"]
@@ -594,6 +606,7 @@ def test_the_column_that_rows_far_off_follow_is_named() -> None:
         assert found.columns[0] == name
 
 
+@pytest.mark.outside
 def test_a_function_of_another_column_takes_the_place_of_the_effect_it_resembles() -> None:
     """A bump along the air's pressure, which passes it once: a jump of the reading fits well, and the bump far better."""
     drawn = draw("outside strong", 100_002)
@@ -628,12 +641,14 @@ def test_repeats_at_rest_are_held_against_the_noise_at_rest() -> None:
     assert noise_of_repeats(None, campaign, rows, residual_um) == 1.0
 
 
+@pytest.mark.outside
 def test_a_cycle_that_the_table_can_mostly_hold_has_a_name_in_doubt() -> None:
     """Lost motion whose travel was not logged, by long waves that the table takes most of: said with certainty once."""
     said = diagnose(Records.of(draw("missing", 101_004).fit.records))
     assert all(finding.confidence < 0.9 for finding in said.findings if finding.effect == "cyclic")
 
 
+@pytest.mark.outside
 def test_what_unsure_names_do_not_predict_is_unexplained() -> None:
     """Switches of the temperature of a nut: a jump follows these rows, and no other run."""
     rows = Records.of(draw("outside strong", 103_098).fit.records)
@@ -644,6 +659,7 @@ def test_what_unsure_names_do_not_predict_is_unexplained() -> None:
         assert not diagnose(rows).unexplained, "nothing else notices it"
 
 
+@pytest.mark.outside
 def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_course() -> None:
     """A drift by two courses that nearly cancel, refused for a function of other columns: once 112 ± 65000 µm in errors of 1.4 µm."""
     said = diagnose(Records.of(draw("outside strong", 800_615).fit.records))
@@ -653,6 +669,7 @@ def test_an_effect_whose_parts_the_rows_do_not_determine_is_as_large_as_its_cour
     assert all(finding.rms_std_um <= finding.rms_um for finding in said.findings)
 
 
+@pytest.mark.outside
 def test_of_two_effects_that_undo_each_other_one_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """An offset that follows a temperature nobody logged: a drift of 520 µm beside a growth of as much about a far point, once."""
     drawn = draw("missing", 804_137)
@@ -671,6 +688,7 @@ def test_of_two_effects_that_undo_each_other_one_goes(monkeypatch: pytest.Monkey
         assert max(finding.rms_um for finding in diagnose(rows).findings) > 20.0 * whole_um
 
 
+@pytest.mark.outside
 def test_what_is_undone_beside_the_rest_is_said_and_the_rest_sized_without_it(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = Records.of(draw("outside strong", 100_304).fit.records)
     usual = diagnose(rows)
@@ -695,6 +713,7 @@ def test_what_is_undone_beside_the_rest_is_said_and_the_rest_sized_without_it(mo
     assert said.carriers[0].rms.value != pytest.approx(usual.carriers[0].rms.value, rel=1e-3)
 
 
+@pytest.mark.outside
 def test_what_a_declared_table_lacks_is_not_held_against_what_no_table_shows() -> None:
     """Two shapes that the older table lacks; beside a table of these rows dust is left of both, which happens to be alike."""
     cols = {name: draw("strong", 800_010).fit.records[name] for name in ("run", "direction", "target_mm", "time_s")}
@@ -711,6 +730,7 @@ def test_what_a_declared_table_lacks_is_not_held_against_what_no_table_shows() -
     assert float(np.std(said.residual_um)) < 0.33
 
 
+@pytest.mark.outside
 def test_a_shape_of_the_twelfth_order_may_be_wear_or_a_cycle() -> None:
     """Wear that an older table lacks; a smooth shape that it lacks is sure."""
     for seed, rivals in ((107_582, {"local_wear", "cyclic"}), (107_166, set())):
@@ -728,6 +748,7 @@ def test_what_carries_the_rest_is_said_in_one_line() -> None:
     assert str(carrier) == "temp_bed_c (or equivalent: air_temp_c, time_s) × target_mm, 1.25 ± 0.2 µm RMS", "± is k = 2"
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("cause", [wave_by_load, moving_only])
 def test_where_no_cause_has_a_name_the_extended_model_is_no_worse_than_a_table_of_the_rows(cause: Cause) -> None:
     """What is left is not in the model, but its mean over the rows belongs into the table, as it repeats."""
@@ -771,6 +792,7 @@ def test_a_jump_from_one_run_to_the_next_may_be_anything_that_was_set_there() ->
     assert not is_between_runs(np.arange(len(campaign)) * 0.1, campaign)
 
 
+@pytest.mark.outside
 def test_a_cause_outside_the_catalogue_is_never_silent() -> None:
     """A wave along the travel that a load switches on: silent before, and no effect may take its name."""
     said = diagnose(workshop(12, wave_by_load, ratio=2.0, noise_um=NOISE_UM)[0])
@@ -780,6 +802,7 @@ def test_a_cause_outside_the_catalogue_is_never_silent() -> None:
     assert said.to_json()["carried_by"][0]["rms_std_um"] > 0.0
 
 
+@pytest.mark.outside
 def test_an_offset_that_follows_a_temperature_far_later_is_proven_by_runs_left_out() -> None:
     said = diagnose(Records.of(draw("weak", 100_034).fit.records))
     (finding,) = said.findings
@@ -790,6 +813,7 @@ def test_an_offset_that_follows_a_temperature_far_later_is_proven_by_runs_left_o
     assert not said.unexplained
 
 
+@pytest.mark.outside
 def test_an_effect_that_runs_left_out_do_not_prove_is_named_with_doubt_where_its_rest_would_be_unexplained(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -827,6 +851,7 @@ def test_a_name_is_as_sure_as_it_is_large_beside_what_is_left_unexplained() -> N
     assert beside_what_is_left(sure, 0.1).confidence > 0.97, "a tenth of it is hardly the cause of all"
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("effect", "column", "left", "refuted"),
     [
@@ -854,6 +879,7 @@ def test_a_name_is_refuted_by_what_is_left_along_its_column_and_another(
     assert ("unexplained" in {rival.effect for rival in told.rivals if rival.confidence > 0.3}) is refuted
 
 
+@pytest.mark.outside
 def test_the_time_that_a_lag_reads_is_no_column_of_the_effect() -> None:
     drift = finding_of("thermal_drift", "temp_bed_c")
     lagged = Form("thermal_drift", "lagged temperature", ("temp_bed_c", "time_s"))
@@ -862,6 +888,7 @@ def test_the_time_that_a_lag_reads_is_no_column_of_the_effect() -> None:
     assert is_refuted_by(finding_of("thermal_drift", "time_s"), carrier), "a course of the time itself"
 
 
+@pytest.mark.outside
 def test_a_jump_that_is_small_or_beside_a_course_that_wanders_or_another_jump_is_unsure() -> None:
     records, _ = workshop(31, noise_um=NOISE_UM)
     campaign = prepare(records)
@@ -903,6 +930,7 @@ def test_what_no_material_does_is_named_in_doubt(ppm_per_k: float, plausible: bo
     assert ("unexplained" in {rival.effect for rival in found.rivals}) is not plausible
 
 
+@pytest.mark.outside
 def test_a_course_along_the_travel_that_no_logged_temperature_shows_is_unsure() -> None:
     records, _ = workshop(31, noise_um=NOISE_UM)
     campaign = prepare(records)
@@ -922,6 +950,7 @@ def test_a_course_along_the_travel_that_no_logged_temperature_shows_is_unsure() 
     )
 
 
+@pytest.mark.outside
 def test_of_two_sensors_that_fit_alike_both_are_named_and_the_uncertainty_holds_both() -> None:
     records, _ = workshop(3, lambda c: 4e-3 * c["target_mm"] * (c["temp_screw_c"] - 20.0), noise_um=NOISE_UM)
     alike = 20.0 + 0.5 * (records["temp_screw_c"] - 20.0)  # a sensor that sees half of it
@@ -941,6 +970,7 @@ def test_of_two_sensors_that_fit_alike_both_are_named_and_the_uncertainty_holds_
     assert "which it follows" not in told.explanation
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("seed", "name"),
     [
@@ -957,6 +987,7 @@ def test_machines_of_the_grammar_that_were_missed(seed: int, name: str) -> None:
     assert found["fresh_um"] < 1.05 * found["fresh_true_um"]
 
 
+@pytest.mark.outside
 def test_an_offset_that_settles_is_no_wandering_beam() -> None:
     """A course of one time constant and a free course of time fit these rows alike (log odds 0.0)."""
     found = outcome("pairs", 805104)
@@ -964,6 +995,7 @@ def test_an_offset_that_settles_is_no_wandering_beam() -> None:
     assert found["fresh_um"] < 1.1 * found["fresh_true_um"]
 
 
+@pytest.mark.outside
 def test_a_temperature_that_the_time_replaces_as_well_corrects_no_more_than_was_seen() -> None:
     """An offset that settles fits a motor's temperature as well; on a campaign with a warmer motor the correction left 11.6 µm where
     none leaves 1.5.
@@ -974,6 +1006,7 @@ def test_a_temperature_that_the_time_replaces_as_well_corrects_no_more_than_was_
     assert found["fresh_um"] < 1.25 * found["table_um"]
 
 
+@pytest.mark.outside
 def test_a_temperature_that_is_only_suspected_corrects_no_more_than_was_seen() -> None:
     """Noise with memory in one warm-up looks like a motor's temperature; on a warmer day the correction left nine times the noise."""
     found = outcome("clean", 806528)
@@ -982,6 +1015,7 @@ def test_a_temperature_that_is_only_suspected_corrects_no_more_than_was_seen() -
     assert found["fresh_um"] < 1.5 * found["fresh_noise_um"]
 
 
+@pytest.mark.outside
 def test_only_a_temperature_that_the_time_replaces_nearly_as_well_is_bounded() -> None:
     known = {one.id: one for one in ALL}["thermal_drift"]
     drift = Term(known, Form(known.id, "temperature", ("temp_screw_c",)), (), (-2.0,), ((0.01,),))
@@ -999,6 +1033,7 @@ def test_only_a_temperature_that_the_time_replaces_nearly_as_well_is_bounded() -
     assert first.extended.error_um(columns) == pytest.approx([-12.0, -12.0]), "by the rows that were fitted alone"
 
 
+@pytest.mark.outside
 def test_beside_a_bounded_temperature_another_part_of_the_effect_is_left_as_it_is() -> None:
     """Of a drift with two parts one follows the time, unlike along the travel: it has no temperature that could be bounded."""
     known = {one.id: one for one in ALL}["thermal_drift"]
@@ -1013,6 +1048,7 @@ def test_beside_a_bounded_temperature_another_part_of_the_effect_is_left_as_it_i
     assert bounded.found == (as_far_as_seen(by_sensor, columns), by_time)
 
 
+@pytest.mark.outside
 def test_a_model_with_a_bound_is_no_cause_beside_rows_that_go_further() -> None:
     """A bounded drift of 2.5 µm/K, and a second warm-up that goes twice as far: nothing is missing, and the bound has grown."""
 
@@ -1034,6 +1070,7 @@ def test_a_model_with_a_bound_is_no_cause_beside_rows_that_go_further() -> None:
     assert any("of the model given follows temp_screw_c" in note for note in found.notes)
 
 
+@pytest.mark.outside
 def test_parts_along_columns_that_move_together_are_one_cause() -> None:
     found = rest_of(workshop(11, state_nobody_logs, ratio=2.0, noise_um=NOISE_UM, warm_s=3000.0)[0])
     assert len(found) == 1  # not one along the time and another along the temperature that rises with it
