@@ -131,12 +131,15 @@ class Accuracy:
         told[0] += f" ({shown[0].how})"
         return (f"U in µm from {', '.join(told)}; their squares add up",)
 
+    @property
+    def moved(self) -> bool:
+        """Whether the mean of a verification differs from zero by more than another choice of targets would change."""
+        return self.at is At.OTHER and self.mean is not None and abs(self.mean.value_um) > self.mean.U_um
+
     def _moved(self) -> tuple[str, ...]:
-        """Said of a verification whose mean differs from zero by more than another choice of targets would change."""
-        mean = self.mean
-        if self.at is not At.OTHER or mean is None or abs(mean.value_um) <= mean.U_um:
+        if self.mean is None or not self.moved:
             return ()
-        where = f"the mean is {mean.value_um:+.2f} ± {mean.U_um:.2f} µm from the tables' zero"
+        where = f"the mean is {self.mean.value_um:+.2f} ± {self.mean.U_um:.2f} µm from the tables' zero"
         return (f"{where}: the datum drifted or the axis expanded; A, a range, does not contain it",)
 
     def as_json(self) -> dict[str, Any]:

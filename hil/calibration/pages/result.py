@@ -62,7 +62,7 @@ def draw_accuracy(view: View, kept: Kept) -> Refresh:
             stamp.set_text(view.t(f"calibrate.stamp.{found.decision.name.lower()}"))
             stamp.classes(replace=f"hil-stamp {found.decision.name.lower()}")
         old = "calibrate.decided.old" if "verified" in stages else "calibrate.decided.none"
-        decision.set_text(view.t(old) if found is None else _decided(view, found))
+        decision.set_text(view.t(old) if found is None else f"{_decided(view, found)}{_moved(view, found)}")
         for figure, name in ((now, "after"), (before, "before")):
             figure.set_text(_figure(view, stages.get(name), "A"))
 
@@ -116,6 +116,14 @@ def _decided(view: View, found: Accuracy) -> str:
     limit = "–" if found.limit_um is None else view.t.number(found.limit_um, 2)
     unknown = found.decision is Decision.UNDECIDED and found.U_um is None
     return view.t(f"calibrate.decided.{'unknown' if unknown else found.decision.name.lower()}", limit=limit)
+
+
+def _moved(view: View, found: Accuracy) -> str:
+    """Where the mean of the verification lies off the tables' zero, with what that means; else ""."""
+    if found.mean is None or not found.moved:
+        return ""
+    mean, spread = view.t.number(found.mean.value_um, 2, sign=True), view.t.number(found.mean.U_um, 2)
+    return f" · {view.t('calibrate.decided.moved', mean=mean, spread=spread)}"
 
 
 def _figure(view: View, stage: MeasuredStage | None, name: str) -> str:

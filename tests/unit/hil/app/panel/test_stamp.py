@@ -147,3 +147,18 @@ def test_it_says_when_from_where_and_what_is_in_force(tmp_path: Path, monkeypatc
     assert seen(desk)["stamped"] == f"verified {date} from Browser 7 · Tables of {of} in force"
     desk.events.add(Kind.JOB, "done", who="Browser 8", job="calibrate")
     assert "Browser 8" not in seen(Desk(axis))["stamped"]  # also after a restart, by the log on disk
+
+
+@pytest.mark.parametrize("language", LANGUAGES)
+def test_a_mean_that_has_moved_stands_beside_the_decision(tmp_path: Path, language: str) -> None:
+    """Corrected rows 2 µm either way have their mean at zero; 3 µm further it is said, with its number."""
+    t = Texts(language)
+    axis = lay_out_verified(tmp_path, 1000.0)
+    rows = campaign(lambda c: 2.0 * c["direction"], noise_um=0.0, scatter=0.0, runs=5, targets=6)
+    path = axis.store.directory / "verify-001/verify.csv"
+    for aside_um, said in ((0.0, False), (3.0, True)):
+        there = rows.with_column("measured_mm", rows["measured_mm"] + aside_um / 1000.0)
+        path.write_text(f"# begun {BEGUN}\n{to_csv(there)}")
+        found = seen(Desk(load_axis(axis.path)), language)
+        moved = t("calibrate.decided.moved", mean=t.number(3.0, 2, sign=True), spread=t.number(0.0, 2))
+        assert (moved in found["decision"]) == said, found["decision"]
