@@ -36,7 +36,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     `pytest -m "" tests/integration/test_modbus_fault_campaign.py --seeds 6` runs that campaign whole; two cores have no time for it.
     """
     parser.addoption("--effects", metavar="FILE.py", action="append", default=[], help="Python code with EFFECTS = (…)")
-    parser.addoption("--seeds", metavar="N", type=int, default=1, help="faults of each kind in the campaigns marked outside, 1")
+    parser.addoption("--seeds", metavar="N", type=int, default=1, help="faults of each kind in the campaigns, 1")
 
 
 def pytest_configure() -> None:
