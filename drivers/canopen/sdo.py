@@ -474,7 +474,7 @@ class SdoClient:
         try:
             yield
         except (RemoteError, NoAnswerError) as error:
-            raise NoAnswerError(f"{lost}; whether it was written is unknown ({error})") from lost
+            raise type(lost)(f"{lost}; whether it was written is unknown ({error})") from lost
 
     def _settled(
         self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, late: Sequence[bytes]
@@ -491,12 +491,12 @@ class SdoClient:
             except AbortError as error:
                 raise self.named(error) from lost
         if not reads_back:
-            raise NoAnswerError(f"{lost}; whether it was done is unknown") from lost
+            raise type(lost)(f"{lost}; whether it was done is unknown") from lost
         return False
 
     def _compare(self, present: bytes, data: bytes, lost: NoAnswerError, same: Same) -> None:
         if not same(present, data):
-            raise NoAnswerError(f"{lost}; it reads back {present.hex()}, not {data.hex()}: not written") from lost
+            raise type(lost)(f"{lost}; it reads back {present.hex()}, not {data.hex()}: not written") from lost
         self.counters.writes_read_back += 1
 
     # -- the channel -------------------------------------------------------------------------------------------------
