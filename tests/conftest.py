@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.correction.sealed import Cost
+from hil.correction.sealed import Cost, save_private_key
 
 Until = Callable[[Callable[[], bool], str], None]
 VCAN = ("vcan0", "vcan1")
@@ -91,9 +91,10 @@ def quick_scrypt() -> Iterator[None]:
 
     What programs of their own make has the true cost, and `test_sealed` tests what that is.
     """
+    quick = Cost(n=1 << 10, r=8, p=1)
     with pytest.MonkeyPatch.context() as patch:
-        for name in ("sealing.DEFAULT_COST", "keys.KEY_COST"):
-            patch.setattr(f"hil.correction.sealed.{name}", Cost(n=1 << 10, r=8, p=1))
+        patch.setattr("hil.correction.sealed.sealing.DEFAULT_COST", quick)
+        patch.setitem(save_private_key.__kwdefaults__, "cost", quick)
         yield
 
 

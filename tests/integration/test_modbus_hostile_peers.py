@@ -26,6 +26,8 @@ from drivers.modbus.wire import Endpoint, PymodbusWire, Request, RtuEndpoint, Tc
 from hil.app.terminal.main import main
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 
+pytestmark = pytest.mark.outside
+
 TIMEOUT_S = 0.4  # a peer is a Python thread: on a busy machine it answers in tenths of a second
 PATIENT_S = 8.0  # a time-out that is not to be waited out
 ROOM_S = 3.0  # for a machine that is busy with other things

@@ -89,7 +89,7 @@ def require_strong(password: str, what: str) -> None:
         )
 
 
-def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *, cost: Cost | None = None) -> None:
+def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *, cost: Cost = KEY_COST) -> None:
     """Write an encrypted PKCS #8 PEM file, readable by its owner only.
 
     Raises InputError when the file exists already, and for a password that is too weak (`require_strong`).
@@ -97,7 +97,7 @@ def save_private_key(path: str | Path, key: Ed25519PrivateKey, password: str, *,
     if os.path.lexists(path):
         raise InputError("exists already; a builder's key is never overwritten", path=path)
     require_strong(password, "password of the new key")
-    replace_file(path, _encrypted_pem(key, password_bytes(password), cost or KEY_COST), mode=0o600)
+    replace_file(path, _encrypted_pem(key, password_bytes(password), cost), mode=0o600)
 
 
 def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:

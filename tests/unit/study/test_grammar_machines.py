@@ -40,6 +40,7 @@ def test_a_module_of_the_generator_imports_numbers_and_itself_only(module):
     )
 
 
+@pytest.mark.outside
 def test_the_generator_loads_nothing_of_the_project():
     code = (
         "import sys, study.grammar.machine; "

@@ -292,6 +292,7 @@ print(bus.sent)
 """
 
 
+@pytest.mark.outside
 def test_a_heartbeat_on_a_dead_bus_ends_without_a_word_on_the_terminal() -> None:
     """Its sender is a thread of python-can's; who works with the bus is told by an error, in one line."""
     run = subprocess.run([sys.executable, "-c", HEARTBEAT_OF_A_DEAD_BUS], capture_output=True, text=True, check=True)

@@ -36,17 +36,20 @@ def hil(*argv: str | Path, shell: str = '"$@"', **environment: str) -> subproces
     return subprocess.run(command, capture_output=True, text=True, check=False, env={**os.environ, **environment})
 
 
+@pytest.mark.outside
 def test_a_terminal_without_the_letters_of_the_field_gets_the_figures_all_the_same(records: Path) -> None:
     done = hil("iso230", records, PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, "")
     assert "ISO 230-2:2014 ? 2 targets" in done.stdout
 
 
+@pytest.mark.outside
 def test_with_standard_output_closed_the_verdict_still_counts(records: Path) -> None:
     done = hil("iso230", records, shell='"$@" >&-')
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.outside
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_output_that_nobody_takes_is_an_error_of_one_line(records: Path) -> None:
     done = hil("iso230", records, shell='"$@" >/dev/full')
@@ -54,6 +57,7 @@ def test_output_that_nobody_takes_is_an_error_of_one_line(records: Path) -> None
     assert done.stderr == "hil: No space left on device\n"
 
 
+@pytest.mark.outside
 def test_ctrl_c_while_the_program_loads_ends_it_without_a_traceback(records: Path, tmp_path: Path) -> None:
     package = tmp_path / "path" / "numpy"
     package.mkdir(parents=True)
@@ -65,6 +69,7 @@ def test_ctrl_c_while_the_program_loads_ends_it_without_a_traceback(records: Pat
 HEAVY = {"numpy", "scipy", "matplotlib", "can", "canopen", "pymodbus", "serial", "cryptography", "rich", "nicegui"}
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("verb", "absent"),
     [

@@ -56,6 +56,7 @@ def test_malformed_axis_files(
     )
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     "arguments",
     [

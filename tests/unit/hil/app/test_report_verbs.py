@@ -99,6 +99,7 @@ def test_an_older_report_survives_a_refusal(place: Path) -> None:
         call("before.csv", "--out", "no/r.html")
 
 
+@pytest.mark.outside
 def test_the_command_line_starts_without_the_plotting_library() -> None:
     code = "import sys, hil.app.report.command; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False, cwd=Path(__file__).parents[4]).returncode == 0

@@ -243,6 +243,7 @@ PLACES = {
 }
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("kind", PLACES)
 @pytest.mark.parametrize("face", ["copy", "other name of the place", "other unit"])
 def test_a_drive_is_held_whichever_axis_file_names_it(tmp_path: Path, kind: str, face: str) -> None:

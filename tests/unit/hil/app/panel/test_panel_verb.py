@@ -67,6 +67,7 @@ def test_another_name_of_loopback_asks_for_the_token(names: list[str], tmp_path:
         assert path.stat().st_mode & 0o777 == 0o600
 
 
+@pytest.mark.outside
 def test_files_are_their_owners_alone_by_default(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Those that the program writes as a process of its own."""
     records = tmp_path / "records.csv"
