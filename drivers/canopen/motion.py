@@ -487,7 +487,7 @@ class ProfileMotion:
         instead of arriving elsewhere, and LimitError is raised once; else it is noted."""
         if not (status & Status.INTERNAL_LIMIT and self._going) or self._judged:
             return
-        self._judged, read = True, self._sdo.read_if_there
+        self._judged, read = True, self._sdo.read_if_shown
         low, high = read(objects.SOFTWARE_LIMIT_MIN, 0), read(objects.SOFTWARE_LIMIT_MAX, 0)
         if cia402_words.software_limits(low, high) is not None:
             home = read(objects.HOME_OFFSET, 0)  # the standard shifts the limits by it, not every drive does

@@ -16,6 +16,8 @@ from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.eds import load_eds
 from drivers.canopen.power import PowerTimes
+from drivers.canopen.raw_parameters import CanOpenRawParameters
+from drivers.canopen.side_by_side import CanLine
 from drivers.drive import Capability, DriveLimits, DriveState, DriveZero
 from drivers.errors import (
     CapabilityError,
@@ -680,6 +682,11 @@ def test_a_drive_without_an_identity_has_the_units_of_its_makers_file(
     units = rig.opened().motion_scaling()
     assert units.velocity.text == (unit if silent else "counts/s")
     assert not units.ambiguous
+    raw = CanOpenRawParameters("X", CanLine(rig.link), NODE, rig.drive.node.eds, scaling=rig.drive.scaling)
+    raw.line.run([raw.identify()])
+    parameter = raw.find("6099h:01")
+    assert parameter is not None
+    assert raw.unit_of(parameter) == units.velocity.text  # as `hil params` shows it
     assert any("reports no vendor" in note for note in rig.drive.notes) is silent
 
 
