@@ -6,7 +6,8 @@ How a page is added
    what moves how far, what is written), and a `Job` made of both. A job runs in the axis's thread and gets a `Workplace`:
    `place.drive`, `place.session`, `place.machine()`, `place.opened_store()`, `place.listener` for events, `place.tell` for messages,
    `place.ask` for questions to the operator (a line in `[ask]`; they are shown on every page).
-   A plan that is `locked` needs the builder's role.
+   A plan that is `locked` needs the builder's role. `reached` says of a result whether it is what the job was for: one that is not is
+   shown as ended without a result.
 2. Contents that are more than one figure of the desk go to `hil/<room>/page_data.py`: a function of the desk that returns a frozen
    value (`backlash_screen`), tested without a browser.
 3. `hil/<room>/page.py` has `draw(view: View) -> None`. It puts elements on the screen and calls `view.every(refresh)`. It makes
