@@ -70,8 +70,7 @@ class ModbusDrive(StoppableDrive):
         registers do not hold, LinkLostError, NoAnswerError."""
         if self._open:
             raise StateError(f"drive {self.name} is already open")
-        names = (self.map.position,) if self.map.move.relative else (self.map.position, self.map.move.target)
-        self.values.check_held(self.limits.ends_mm, names)
+        self.values.check_held(self.limits.ends_mm)
         self.link.open()
         self._open = True
         try:

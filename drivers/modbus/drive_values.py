@@ -107,9 +107,9 @@ class DriveValues:
     def position_counts(self, raw: Mapping[str, Raw]) -> float:
         return self.counts(raw[self._map.position], self._map.position)
 
-    def check_held(self, ends_mm: Sequence[float], names: Sequence[str]) -> None:
-        """Raise InputError for an end of the travel, load mm, that one of these registers of positions cannot hold."""
-        for name in names:
+    def check_held(self, ends_mm: Sequence[float]) -> None:
+        """Raise InputError for an end of the travel, load mm, that the registers of position and absolute target cannot hold."""
+        for name in (self._map.position, *(() if self._map.move.relative else (self._map.move.target,))):
             register = self._registers[name]
             per = counts_per_unit(register, self._scaling.encoder_counts_per_motor_rev)
             low, high = register.bounds

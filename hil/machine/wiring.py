@@ -23,6 +23,7 @@ from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import CapabilityError, InputError
 from drivers.instrument import DistanceInstrument
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_facts import FactLedger
 from drivers.modbus.map_loader import load_drive_map
@@ -301,6 +302,12 @@ def modbus_drive(
         )
     )
     return _guarded(axis, drive)
+
+
+def check_registers(axis: DriveAxis) -> None:
+    """Raise InputError for a travel that the registers of a Modbus drive do not hold. Nothing is connected."""
+    if axis.drive.backend == "modbus":
+        DriveValues(axis.name, load_drive_map(axis.drive.register_map), axis.scaling).check_held(axis.limits.ends_mm)
 
 
 def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:

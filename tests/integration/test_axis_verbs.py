@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -179,6 +180,28 @@ def test_dry_run_moves_and_writes_nothing(axis: Path, tmp_path: Path, capsys: py
         assert main([verb, str(axis), "--dry-run"]) == 0
     assert sorted(tmp_path.iterdir()) == before
     assert "would" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "counts", "status"),
+    [
+        ("vendor_style", 2**26, 2),
+        ("cia402_over_modbus", 2**26, 2),
+        ("mitsubishi_mr_je_c", 2**26, 2),
+        ("kollmorgen_akd2g", 2**26, 0),
+        ("vendor_style", 2**23, 0),
+    ],
+)
+def test_a_dry_run_refuses_a_travel_that_the_registers_do_not_hold(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, counts: int, status: int
+) -> None:
+    text = files("hil.examples").joinpath("modbus_axis.toml").read_text(encoding="utf-8")
+    path = tmp_path / "axis.toml"
+    path.write_text(text.replace("10_000", str(counts)).replace("vendor_style", name), encoding="utf-8")
+    for verb in ("calibrate", "verify", "doctor", "close-loop"):
+        assert main([verb, str(path), "--dry-run"]) == status
+        told = capsys.readouterr()
+        assert "the drive holds positions from -160 to 160 mm" in told.err if status else "would" in told.out
 
 
 def test_a_wrong_password_is_refused_before_anything_moves(

@@ -149,14 +149,18 @@ def load_cross(args: argparse.Namespace, axis: AxisConfig) -> Compensation | Non
 
 def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:
     """Print the motions and files of a job that measures these steps."""
-    print_plan(measuring_plan(axis, steps, [Write("", line) for line in writes]))
+    print_plan(axis, measuring_plan(axis, steps, [Write("", line) for line in writes]))
 
 
 _WRITTEN = {"rows": "rows of each pass below ", "tables": ""}
 
 
-def print_plan(plan: Plan) -> None:
-    """Print the plan of a job that measures along the axis."""
+def print_plan(axis: AxisConfig, plan: Plan) -> None:
+    """Print the plan of a job that measures along the axis. Raises InputError for an axis that its drive's registers cannot hold."""
+    if axis.drive.backend == "modbus":
+        from hil.machine.wiring import check_registers  # noqa: PLC0415  (the drivers take longer to load than a dry run needs)
+
+        check_registers(axis)
     reach = plan.reach_mm
     homing = "home it, " if plan.homes else ""
     if reach is not None:

@@ -166,7 +166,7 @@ def _print_dry_run(args: argparse.Namespace, axis: AxisConfig) -> None:
         plan = with_proof(plan, axis)
     if args.dense:
         plan = with_dense_pass(plan, axis)
-    print_plan(plan)
+    print_plan(axis, plan)
 
 
 def _print(

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     axis = load_axis(args.axis)
     config = axis.across()
     if args.dry_run:
-        print_plan(straightness_plan(axis, args.seed))
+        print_plan(axis, straightness_plan(axis, args.seed))
         print(f"would enable the axis of {config.axis_file.name}, home it where its file says so, and move it")
         print(f"to {config.at_mm:g} mm and, with the correction, by micrometres from there")
         return 0

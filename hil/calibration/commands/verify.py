@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     measuring raise."""
     axis = limited(load_axis(args.axis), args.limit)
     if args.dry_run:
-        print_plan(verification_plan(axis, args.seed))
+        print_plan(axis, verification_plan(axis, args.seed))
         if axis.straightness is not None:
             at = f"{axis.straightness.axis_file.name} at {axis.straightness.at_mm:g} mm"
             print(f"would enable and move the axis of {at} too, where what is stored corrects straightness by it")
