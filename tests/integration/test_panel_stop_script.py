@@ -236,6 +236,23 @@ def test_a_connection_that_is_closed_is_a_server_that_is_gone_at_once(person: Pe
 
 
 @pytest.mark.usefixtures("machine")
+@pytest.mark.parametrize("source", ["drive", "instrument"])
+def test_a_page_that_has_just_come_tells_since_when_the_server_knows(person: Person, source: str) -> None:
+    """A change of page loads the script anew; the loss is 34 s old by then."""
+    script = """
+        document.body.insertAdjacentHTML('beforeend', `<section data-name="no-data" data-axis="X" hidden><p data-name="no-data.since"
+            data-text="{seconds}"></p></section>`);
+        const X = {drive: 0, instrument: 0, busy: false, why: {}, lost: {drive: 0, instrument: 0}};
+        X[arguments[0]] = null;
+        X.lost[arguments[0]] = 34.2;
+        hilLostSince.clear();
+        hilBeat({X}, performance.now());
+        return Number(document.querySelector("[data-name='no-data.since']").textContent);
+    """
+    assert person.driver.execute_script(script, source) == 34
+
+
+@pytest.mark.usefixtures("machine")
 def test_an_instrument_that_the_job_does_not_read_is_marked_and_is_no_alarm(person: Person) -> None:
     script = """
         document.body.insertAdjacentHTML('beforeend', `<section data-name="no-data" data-axis="X" hidden><p data-name="no-data.since"
