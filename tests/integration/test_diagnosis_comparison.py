@@ -6,15 +6,15 @@ from itertools import chain
 
 import pytest
 
-pytest.importorskip("sklearn", reason="NOT COMPARED: scikit-learn is not installed (pip install -e .[test])")
-
-from study.comparison import OURS, ask_all, by_method, machines
-from study.comparison_methods import BLACK_BOX, METHODS, available
+pytestmark = pytest.mark.outside
 
 
-@pytest.mark.outside
 def test_we_are_ahead_of_each_in_right_causes_wrong_names_and_fresh_error() -> None:
     """The first 12 machines of `python tests/study/comparison.py`, drawn by a generator that was written apart."""
+    pytest.importorskip("sklearn", reason="NOT COMPARED: scikit-learn is not installed (pip install -e .[test])")
+    from study.comparison import OURS, ask_all, by_method, machines  # noqa: PLC0415  (seconds of imports)
+    from study.comparison_methods import BLACK_BOX, available  # noqa: PLC0415
+
     figures = by_method(chain.from_iterable(ask_all(machines(12, "tuning", 0), workers=2)))
     assert set(figures) == {OURS, *available(), BLACK_BOX}
     ours = figures.pop(OURS)
@@ -33,6 +33,9 @@ def test_we_are_ahead_of_each_in_right_causes_wrong_names_and_fresh_error() -> N
 
 
 def test_what_is_not_installed_is_said_loudly() -> None:
+    pytest.importorskip("sklearn", reason="NOT COMPARED: scikit-learn is not installed (pip install -e .[test])")
+    from study.comparison_methods import METHODS, available  # noqa: PLC0415
+
     absent = set(METHODS) - set(available())
     if absent:
         pytest.skip(f"NOT COMPARED: {', '.join(sorted(absent))} (pip install -e .[test])")
