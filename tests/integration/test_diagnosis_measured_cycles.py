@@ -81,6 +81,7 @@ def cycles(form: dict[str, Any]) -> list[float]:
     return [f["parameters"]["period_mm"]["value"] for f in form["findings"] if f["effect"] == "cyclic"]
 
 
+@pytest.mark.outside
 def test_a_resolvers_order_4_is_found_and_gone_after_its_repair(tmp_path: Path) -> None:
     """As found 8.2° forward and 8.1° back, four times a turn. What is left after the repair has no right name (docs/real_data.md)."""
     before = diagnosed(tmp_path, *resolver("resolver_as_found.csv"))
@@ -94,6 +95,7 @@ def test_a_resolvers_order_4_is_found_and_gone_after_its_repair(tmp_path: Path) 
     assert after["recommended"] is False
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("name", "seed"), [("as_found", 2), ("repaired_coils", 2), ("repaired_coils", 7), ("repaired_coils", 8)]
 )
