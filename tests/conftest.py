@@ -56,23 +56,21 @@ def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
     return 2 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
 
 
-OUTSIDE = ("guest", "browser", "linuxcnc", "vcan")
+OUTSIDE = {"guest", "browser", "linuxcnc", "vcan"}
 """Markers of what needs more than this computer computing."""
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Benchmarks run alone or not at all; the guest starts first, it takes longest, and has what needs SocketCAN."""
+    elsewhere = None if vcan_here() else pytest.mark.skip(reason="runs in the guest (test_vcan_guest.py)")
     for item in items:
-        if BENCH in item.path.parents or any(map(item.get_closest_marker, OUTSIDE)):
+        names = {marker.name for marker in item.iter_markers()}
+        if names & OUTSIDE or BENCH in item.path.parents:
             item.add_marker("outside")
-    items.sort(key=lambda item: item.get_closest_marker("guest") is None)
-    if vcan_here():
-        return
-    elsewhere = pytest.mark.skip(reason="runs in the guest (test_vcan_guest.py)")
-    for item in items:
-        if item.get_closest_marker("vcan"):
+        if "vcan" in names and elsewhere is not None:
             item.add_marker(elsewhere)
+    items.sort(key=lambda item: "guest" not in item.keywords)
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
