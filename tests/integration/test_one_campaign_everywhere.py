@@ -149,7 +149,8 @@ def _written(text: str, row: str) -> Figures:
 def _certificate(shown: Shown) -> Figures:
     rows = re.findall(r"(?m)^([AEMRB][↑↓\u0304]?) (-?[\d.]+) ([\d.]+) µm ", shown.certificate)
     head = re.search(
-        r"is A\s+= ([\d.]+) ± ([\d.]+) µm \(U, k = 2\) against a limit of 30.00 µm: (\w+)", shown.certificate
+        r"is A = ([\d.]+) ± ([\d.]+) µm \(U, k = 2\) against a limit of 30.00 µm: (\w+)",
+        " ".join(shown.certificate.split()),
     )
     assert head is not None
     figures = {_name(symbol): value for symbol, value, _ in rows} | {f"U({_name(s)})": u for s, _, u in rows}
