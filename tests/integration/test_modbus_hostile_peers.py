@@ -304,6 +304,27 @@ def test_a_read_from_a_unit_that_misbehaves_ends(peer: Peer, errors: tuple[type[
         assert time.monotonic() - started_s < BOUND_S + ROOM_S
 
 
+@pytest.mark.parametrize("bit", [0, 11, 40], ids=["unit", "function", "value"])
+def test_a_damaged_reply_on_a_serial_line_costs_one_request_that_is_repeated_or_read_back(bit: int) -> None:
+    seen = Seen()
+
+    def peer(request: Frame, send: Send) -> None:
+        reply = bytearray(packed(reply_to(request, *(7, 8)[: request.pdu[4]])))
+        if len(seen.frames) == 1:
+            reply[bit // 8] ^= 1 << bit % 8
+        send(bytes(reply))
+
+    for order in (
+        lambda link: link.read(1, HOLDING, Span(0, 2)) == (7, 8),
+        lambda link: link.write(1, HOLDING, 0, (7, 8)) is None,
+    ):
+        seen.frames.clear()
+        with rtu_peer(peer, seen) as endpoint, linked(endpoint) as link:
+            assert order(link)
+            assert link.statistics.no_answers == 1
+        assert sum(frame.pdu[0] == 16 for _, frame in seen.frames) <= 1  # a write is sent once
+
+
 def answering_as(unit: int) -> Peer:
     """Every request is answered, whatever unit it names, as this one."""
 
