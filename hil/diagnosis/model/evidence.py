@@ -245,8 +245,8 @@ class Fit:
         self.inverse = dtrtri(np.linalg.cholesky(gram), lower=1)[0]
         self._onto = self.inverse @ self.white.T
         self.beta = np.asarray(self.inverse.T @ (self._onto @ self.y))
-        self._rest = self.y - self._onto.T @ (self._onto @ self.y)
-        self.rss = float(self.y @ self._rest)
+        self.rest = self.y - self._onto.T @ (self._onto @ self.y)
+        self.rss = float(self.y @ self.rest)
         self.dof = max(rows.n - x - columns.f - columns.k, 1)
 
     @property
@@ -298,7 +298,7 @@ class Fit:
         """Normal equations of further columns (n, k) beside the fit: matrix (k, k), right side (k,)."""
         white = self.rows.white(columns, self.noise.memory)
         onto = self._onto @ white
-        return white.T @ white - onto.T @ onto, white.T @ self._rest
+        return white.T @ white - onto.T @ onto, white.T @ self.rest
 
     def gain(self, columns: Floats) -> float:
         """Log evidence that further columns with a g-prior would add."""
@@ -312,7 +312,7 @@ class Fit:
         """The same of groups of k columns side by side, (n, G·k): (G,); in single precision."""
         white = self.rows.white(columns, self.noise.memory)
         onto = self._single @ white
-        b = (self._rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
+        b = (self.rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
         full = np.einsum("ij,ij->j", white, white).reshape(-1, k).astype(float)
         if k == 1:
             left = full[:, 0] - np.einsum("ij,ij->j", onto, onto)
@@ -328,6 +328,12 @@ class Fit:
     def _single(self) -> NDArray[np.float32]:
         return np.asarray(self._onto, dtype=np.float32)
 
+    def gains_of(self, columns: Floats, rests: Floats) -> Floats:
+        """What random columns would add to the log evidence if this were left, whitened, (n, m): (m,)."""
+        a, _ = self.normal(columns)
+        b = rests.T @ self.rows.white(columns, self.noise.memory)
+        return self._of_random(np.broadcast_to(a, (len(b), *a.shape)), b)[0]
+
     def random_gain(self, columns: Floats) -> tuple[float, float]:
         """Log evidence that random columns would add at the best of their variances, and that variance."""
         a, b = self.normal(columns)
@@ -338,7 +344,7 @@ class Fit:
         """The gains of groups of k random columns side by side, (n, G·k): (G,); in single precision."""
         white = self.rows.white(columns, self.noise.memory)
         onto = self._single @ white
-        b = (self._rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
+        b = (self.rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
         w, h = (m.reshape(len(m), -1, k).transpose(1, 2, 0) for m in (white, onto))
         return self._of_random((w @ w.transpose(0, 2, 1) - h @ h.transpose(0, 2, 1)).astype(float), b)[0]
 

@@ -45,6 +45,10 @@ WIDTHS = (8, 16, 40)
 """Columns of a block, at most."""
 THIN = 3e-3
 """Variance along an axis of a block, over its largest, below which it is left out."""
+FAR, LEAST_HIT = 2.5, 8
+"""Robust standard deviations from which a row is far off, and the fewest such rows that can follow anything."""
+DRAWN = 60
+"""Times that their signs and places are drawn anew."""
 LONGEST_CYCLE = 12
 """Rows of the longest cycle in which one row may differ."""
 
@@ -247,8 +251,26 @@ class Remainder:
         for batch in self.batches:
             gains = fit.random_gains(batch.columns, batch.k) - price
             found += [(float(gains[i]), price, batch.blocks[i]) for i in np.argsort(-gains)[:kept]]
+        found += self._hit(fit)
         found.sort(key=lambda one: -one[0])
         return [Ranked(gain, self._part(one, price, fit), fit) for gain, price, one in found[:kept]]
+
+    def _hit(self, fit: Fit) -> Iterator[tuple[float, float, Block]]:
+        """Rows far off, here and there, that together follow the travel: more than they do with signs and places drawn anew, as the
+        rows of a noise with heavy tails have them.
+        """
+        place = self.axes.get("target_mm")
+        away = np.abs(fit.residual - np.median(fit.residual))
+        far = away > FAR * 1.4826 * float(np.median(away))
+        if place is None or not LEAST_HIT <= np.sum(far) <= len(far) / 4:
+            return
+        block = Block((place.name, "row_order"), thin(place.smooth() * far[:, None], WIDTHS[0]))
+        rng = np.random.default_rng(0)
+        drawn = np.tile(fit.rest[:, None], (1, DRAWN))
+        for one in drawn.T:
+            one[far] = rng.permutation(one[far]) * rng.choice([-1.0, 1.0], int(np.sum(far)))
+        price = max(float(np.max(fit.gains_of(block.columns, drawn))), 0.0)
+        yield fit.random_gain(block.columns)[0] - price, price, block
 
     @staticmethod
     def _part(one: Block, price: float, fit: Fit) -> Part:
