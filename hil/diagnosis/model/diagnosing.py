@@ -62,10 +62,11 @@ def rows_of(campaign: CampaignRows, declared: Model | None) -> Rows:
 def searched(rows: Rows, effects: Sequence[Effect]) -> tuple[Search, Found]:
     """The parts, and those again with the noise of each row as the first ones leave it."""
     catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
-    first = Search(rows, catalogue, remainder).run()
+    search = Search(rows, catalogue, remainder)
+    first = search.run()
     weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
     if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
-        weighted = rows
+        return search, first
     search = Search(weighted, catalogue, remainder)
     return search, search.run(first.parts)
 

@@ -220,7 +220,10 @@ class Search:
         return None
 
     def _effects_instead(self, others: tuple[Part, ...], part: Part, worth: float) -> tuple[Part, ...] | None:
-        """Two effects in the place of a flexible part that holds both, where they are likelier than this; each may show only beside it."""
+        """Two effects in the place of a flexible part that holds both, where they are likelier than this.
+
+        Each may show beside it, or beside a course of time, and not alone.
+        """
         current = others if part.is_remainder else (*others, part)
         for _ in range(3):
             best = next(iter(self.alternatives(current, remainder=False)), None)
