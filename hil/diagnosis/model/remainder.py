@@ -31,9 +31,10 @@ NO_CAUSE = frozenset(
 """Columns that cannot carry a cause: names, readings, and what others carry better."""
 MOST_LEVELS = 8
 COARSE = np.arange(0.5, 3.6, 0.5)
+ALONG = np.arange(0.5, 8.1, 0.5)
 FINE_PLACE, FINE_TIME = np.arange(0.5, 16.1, 0.5), np.arange(0.5, 12.1, 0.5)
 """Periods over the range of a column."""
-SMOOTH, ALONG_A_RUN = 2.5, 5.0
+SMOOTH, IN_A_RUN = 2.5, 5.0
 """Highest of them in a smooth block, and along the travel in one run."""
 SWITCHING = np.arange(1.0, 25.0)
 """Those of a process in time: amplitudes that fall with frequency are those of a state that switches or wanders."""
@@ -160,7 +161,8 @@ class Remainder:
             own = self._waves((axis.name,), axis.waves(COARSE).reshape(n, -1), 2)
             yield from (one for one in own if one.names != (self.time,))  # that is a reading that wanders
         for a, b in itertools.combinations(self.axes.values(), 2):
-            yield from self._waves((a.name, b.name), _products(a.waves(COARSE), b.waves(COARSE)), 4)
+            first, second = (one.waves(ALONG if one.name == "target_mm" else COARSE) for one in (a, b))
+            yield from self._waves((a.name, b.name), _products(first, second), 4)
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
         if place is not None and time is not None:
             fine = _products(place.waves(FINE_PLACE), time.waves(FINE_TIME))
@@ -225,7 +227,7 @@ class Remainder:
 
     def _of_rows(self, place: Axis) -> Iterator[Block]:
         """One run, or one row in every few, that follows the travel in a way of its own."""
-        along = place.smooth(ALONG_A_RUN)
+        along = place.smooth(IN_A_RUN)
         if self.campaign.runs > 1:
             for run in range(self.campaign.runs):
                 yield Block((place.name, "run"), along * (self.campaign.run == run)[:, None])
