@@ -17,6 +17,7 @@ from hil.diagnosis.model.candidates import Catalogue, effects_beside
 from hil.diagnosis.model.evidence import Fit, Noise, Part, score
 from hil.diagnosis.model.force import Folds, Force, compensated, improves
 from hil.diagnosis.model.intervals import terms_of
+from hil.diagnosis.model.offer import offered
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Given, Rows, row_scale
@@ -184,7 +185,7 @@ class Case:
         after, alone = Figures.of(force.after_um), Figures.of(self.rows.error_um)
         base = self.declared if self.declared is not None else self.null.model()
         extended = force.force.model() if force.force.fit.parts or self.declared is not None else base
-        return Diagnosis(
+        found = Diagnosis(
             pure_error=pure_error(self.rows.columns, clean),
             noise=_noise_parts(fit.sigma, fit.noise),
             declared=base,
@@ -201,6 +202,7 @@ class Case:
             recommended=after.rms_um < alone.rms_um,
             notes=(*self._notes(after, alone), *force.notes),
         )
+        return offered(found, self.search, force.force, self.rows, self.folds)
 
     def _blind(self) -> Iterator[Blind]:
         beside = self.search.catalogue.beside

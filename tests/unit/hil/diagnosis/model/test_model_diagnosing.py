@@ -44,6 +44,7 @@ CASES: dict[str, Errors] = {
     "state along": lambda c: switched(c, 170.0) * np.sin(x(c) / 40.0),
     "one run": lambda c: 1.5 * (c["run"] == 3) * np.sin(x(c) / 30.0),
     "tenth row": lambda c: 4.0 * tenth(c) * np.sin(x(c) / 60.0),
+    "product": lambda c: 0.03 * c["load_kg"] * (x(c) / 150.0 - 1.0) ** 2,
     "relay": lambda c: 2.0 * (c["temp_screw_c"] > 21.8),
 }
 
@@ -87,6 +88,7 @@ def test_a_cause_of_the_catalogue_is_named_with_its_parameter(
     ("case", "columns"),
     [
         ("load zone", {"load_kg", "target_mm"}),
+        ("product", {"load_kg", "target_mm"}),
         ("state along", {"target_mm", "time_s"}),
         ("one run", {"run", "target_mm"}),
         ("tenth row", {"row_order", "target_mm"}),
@@ -121,6 +123,22 @@ def test_a_recorded_column_that_passed_a_level_at_the_jump_is_a_rival() -> None:
     assert found.findings[0].effect == "datum_step"
     assert OUTSIDE in {rival.effect for rival in found.findings[0].rivals}
     assert found.findings[0].confidence < 0.9
+
+
+@pytest.mark.parametrize(
+    ("case", "reason"),
+    [("product", ""), ("one run", "run is not known when a command is issued"), ("nothing", "nothing is left")],
+)
+def test_what_is_left_is_corrected_on_request_where_runs_left_out_are_better(case: str, reason: str) -> None:
+    found = said(case)
+    assert not [term for term in found.extended.terms if term.effect.id == "non_parametric"]
+    if reason:
+        assert isinstance(found.non_parametric, str)
+        assert reason in found.non_parametric
+        return
+    assert isinstance(found.non_parametric, Diagnosis)
+    assert [term.effect.id for term in found.non_parametric.extended.terms] == ["non_parametric"]
+    assert found.non_parametric.after.rms_um < found.after.rms_um
 
 
 @pytest.mark.parametrize("case", ["load", "expansion"])

@@ -1,0 +1,86 @@
+"""A correction of what is left without a cause, as a smooth function of columns: on request, and where runs left out are better."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hil.diagnosis.campaign import AllRows
+from hil.diagnosis.model.evidence import Candidate, Part
+from hil.diagnosis.model.force import Folds, Force, improves
+from hil.diagnosis.model.intervals import terms_of
+from hil.diagnosis.model.search import Search
+from hil.diagnosis.result import Diagnosis, Figures
+from hil.diagnosis.verdict.offer import AFTERWARDS, OPTION
+from hil.effects.non_parametric import CAUSE_UNKNOWN, NonParametric, smooth_form, spread_of
+
+Floats = NDArray[np.float64]
+
+
+def smooth_part(part: Part, search: Search) -> Part | None:
+    """A smooth function of a remainder's columns; None where they are more than two, or not known when a command is issued."""
+    names = tuple(name for name in part.names if name != "direction")
+    columns = search.rows.campaign.columns
+    if not 1 <= len(names) <= 2 or not set(names) <= columns.keys() - AFTERWARDS:
+        return None
+    form = smooth_form(names, [spread_of(name, columns) for name in names], with_direction="direction" in part.names)
+    basis = NonParametric().basis(form, (), columns)
+    return Part(
+        NonParametric.id, form.inputs, basis, basis[:, :0], basis[:, :0], 0.0, Candidate(NonParametric(), form, ())
+    )
+
+
+def offered(diagnosis: Diagnosis, search: Search, force: Force, rows: AllRows, folds: Folds) -> Diagnosis:
+    """The diagnosis with this correction beside it, and a note where something is unexplained. force: what is corrected without it."""
+    if not diagnosis.unexplained:
+        return diagnosis
+    left = [part for part in force.fit.parts if part.is_remainder]
+    smooth = [smooth_part(part, search) for part in left]
+    if not smooth or any(one is None for one in smooth):
+        unknown = sorted({name for part in left for name in part.names} & AFTERWARDS)
+        why = (
+            f"{' and '.join(unknown)} is not known when a command is issued"
+            if unknown
+            else "is no smooth function of its columns"
+        )
+        return _refused(diagnosis, why if unknown else f"what is left {why}")
+    return _with(diagnosis, [one for one in smooth if one is not None], search, force=force, rows=rows, folds=folds)
+
+
+def _with(
+    diagnosis: Diagnosis, smooth: Sequence[Part], search: Search, *, force: Force, rows: AllRows, folds: Folds
+) -> Diagnosis:
+    fit = search.fit([*(part for part in force.fit.parts if not part.is_remainder), *smooth])
+    terms = terms_of(fit)
+    fitted = {id(part): terms[id(part)] for part in smooth}
+    taken = Force(fit, {**{key: term for key, term in terms.items() if key in force.live}, **fitted})
+    left_um = taken.left_out_um(rows, folds)
+    before, after = diagnosis.after, Figures.of(left_um)
+    if not improves(diagnosis.after_um, left_um, folds.of_all) or after.rms_um >= before.rms_um:
+        why = f"on runs left out it does not help for sure ({after.rms_um:.3g} µm RMS, without it {before.rms_um:.3g})"
+        return _refused(diagnosis, why)
+    along = "; ".join(" × ".join(part.names) for part in smooth)
+    worth = f"on runs left out it leaves {after.rms_um:.3g} µm RMS instead of {before.rms_um:.3g}"
+    model = taken.model()
+    extended = replace(model, about={**model.about, "non_parametric": f"follows {along}; {CAUSE_UNKNOWN}"})
+    told = [f"{OPTION}: {term.effect.explain(term)}" for term in fitted.values()]
+    everything = Force(fit, terms).model()
+    other = replace(
+        diagnosis,
+        extended=extended,
+        after_um=left_um,
+        setup_um=Force(fit, terms).left_out_um(rows, folds),
+        residual_um=rows.error_um - everything.error_um(rows.columns),
+        recommended=after.rms_um < Figures.of(rows.error_um).rms_um,
+        notes=(*diagnosis.notes, *told, f"{OPTION}: {worth}"),
+    )
+    note = f"{OPTION} adds a smooth function of {along} to the extended model, though {CAUSE_UNKNOWN}: {worth}"
+    return replace(diagnosis, non_parametric=other, notes=(*diagnosis.notes, note))
+
+
+def _refused(diagnosis: Diagnosis, why: str) -> Diagnosis:
+    note = f"no correction without a known cause either ({OPTION}): {why}"
+    return replace(diagnosis, non_parametric=why, notes=(*diagnosis.notes, note))
