@@ -310,7 +310,7 @@ class Fit:
 
     def gains(self, columns: NDArray[np.float32], k: int) -> Floats:
         """The same of groups of k columns side by side, (n, G·k): (G,); in single precision."""
-        white = self.rows.white(columns, self.noise.memory)
+        white = self.rows.white_again(columns, self.noise.memory)
         onto = self._single @ white
         b = (self.rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
         full = np.einsum("ij,ij->j", white, white).reshape(-1, k).astype(float)
@@ -342,7 +342,7 @@ class Fit:
 
     def random_gains(self, columns: NDArray[np.float32], k: int) -> Floats:
         """The gains of groups of k random columns side by side, (n, G·k): (G,); in single precision."""
-        white = self.rows.white(columns, self.noise.memory)
+        white = self.rows.white_again(columns, self.noise.memory)
         onto = self._single @ white
         b = (self.rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
         w, h = (m.reshape(len(m), -1, k).transpose(1, 2, 0) for m in (white, onto))

@@ -22,12 +22,15 @@ from hil.effects.model import Model
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Singles = NDArray[np.float32]
 Real = TypeVar("Real", np.float32, np.float64)
 
 LONGEST = 400
 """Rows of a run over which its memory is followed; of longer runs each such stretch has its own."""
 SLOWEST_SCALE = 4.0
 """Multiples of the usual residual at which one row counts for the scale of its group."""
+MOST_BYTES = 100_000_000
+"""Most bytes of whitened columns that are kept."""
 EVEN, ODD, OFFSET, GIVEN, KNOWN = 0, 1, 2, 3, 4
 """Random columns: table alike in both directions, unlike, offsets of runs; a declared table's and its terms', of variance 1."""
 
@@ -59,6 +62,14 @@ class Whitened:
     cross: Floats
     yy: float
     log_noise: float
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Columns, kept so that their identity stays theirs, and the same whitened."""
+
+    columns: Singles
+    white: Singles
 
 
 @dataclass(frozen=True)
@@ -115,6 +126,7 @@ class Rows:
         self.group: Ints = np.repeat(kinds, widths).astype(np.int64)
         self._white: dict[Memory, Whitened] = {}
         self._roots: dict[tuple[int, Memory], Floats] = {}
+        self._kept: dict[tuple[int, Memory], Pair] = {}
 
     @property
     def is_declared(self) -> bool:
@@ -164,6 +176,17 @@ class Rows:
             root = self._root(rows.stop - rows.start, memory).astype(columns.dtype, copy=False)
             out[rows] = root @ scaled[rows]
         return out
+
+    def white_again(self, columns: Singles, memory: Memory) -> Singles:
+        """The same of columns that are asked for again and again, kept while there is room."""
+        if not memory.ar:
+            return self.white(columns, memory)
+        key = id(columns), memory
+        if key not in self._kept:
+            if sum(pair.white.nbytes for pair in self._kept.values()) + columns.nbytes > MOST_BYTES:
+                self._kept.clear()
+            self._kept[key] = Pair(columns, self.white(columns, memory))
+        return self._kept[key].white
 
     def whitened(self, memory: Memory) -> Whitened:
         """Table, offsets and errors under a memory; made once."""
