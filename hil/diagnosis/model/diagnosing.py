@@ -226,7 +226,7 @@ class Case:
             yield f"the readings move in steps of {step_um:g} µm, coarser than their noise: below half a step nothing is found"
         if len(rows.kept) < len(records):
             yield f"searched and fitted on {len(rows.kept)} of {len(records)} rows, drawn evenly; the held-out figures are on all"
-        if self.found.fit.dof < LEAST_DOF:
+        if len(self.campaign) - self.null.fit.spent < LEAST_DOF:
             yield SATURATED
         if not can_be_held_out(self.folds.how):
             yield "one run only: a second one has to show whether the correction holds"

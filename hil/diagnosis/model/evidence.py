@@ -254,6 +254,11 @@ class Fit:
         """Standard deviation of the white noise, µm."""
         return math.sqrt(max(self.rss, 1e-300) / self.dof)
 
+    @property
+    def spent(self) -> float:
+        """Degrees of freedom that the fit takes: its columns, random ones as far as the rows determine them."""
+        return len(self.ridge) - float(self.ridge @ np.einsum("ij,ij->j", self.inverse, self.inverse))
+
     @cached_property
     def covariance(self) -> Floats:
         """Of all coefficients, µm²."""

@@ -24,6 +24,9 @@ SAME_NOISE = 4.0
 EXCHANGE = 1.0
 """Log odds that an exchange must gain, so that it ends."""
 FOLLOWED, REFINED = 6, 8
+LARGEST = 2.0
+"""RMS of an effect over that of the errors, from which another one would have to undo it."""
+IMPOSSIBLE = 1e3
 
 
 @dataclass(frozen=True)
@@ -143,26 +146,30 @@ class Search:
         if any(one.name == part.name and not one.is_remainder for one in parts) and not part.is_remainder:
             part = replace(part, log_prior=part.log_prior - USUAL.richer)
         found = score(self.rows, [*parts, part], near)[0]
-        if self._is_implausible(parts, part, found.noise):
-            part = replace(part, log_prior=part.log_prior - 2.0 * USUAL.richer)
-            found = replace(found, log_p=found.log_p - 2.0 * USUAL.richer)
+        against = self._against(parts, part, found.noise)
+        part = replace(part, log_prior=part.log_prior - against)
+        found = replace(found, log_p=found.log_p - against)
         return Alternative(found.log_p, part, found.noise)
 
-    def _is_implausible(self, parts: Sequence[Part], part: Part, noise: Noise) -> bool:
+    def _against(self, parts: Sequence[Part], part: Part, noise: Noise) -> float:
+        """Log odds against an effect with physics out of its range, or with which one is far larger than all errors."""
         one = part.of
         if one is None or one.form.shrunk:
-            return False
+            return 0.0
         if one.effect.is_exceeded(one.form, one.theta):
-            return True
-        if type(one.effect).implausible is Effect.implausible:
-            return False
+            return 2.0 * USUAL.richer
         fit = Fit(self.rows, [*parts, part], noise)
+        effects = [fit.course_um(one) for one in fit.parts if not one.is_remainder]
+        if max(float(np.std(course)) for course in effects) > LARGEST * float(np.std(self.rows.campaign.error_um)):
+            return IMPOSSIBLE
+        if type(one.effect).implausible is Effect.implausible:
+            return 0.0
         at = fit.where(part, "free")
         known = np.zeros((at.stop - at.start + len(one.theta),) * 2)
         known[: at.stop - at.start, : at.stop - at.start] = fit.covariance[at, at]
         rows = tuple(map(tuple, known.tolist()))
         term = Term(one.effect, one.form, one.theta, tuple(fit.beta[at].tolist()), rows)
-        return bool(one.effect.implausible(term))
+        return 2.0 * USUAL.richer if one.effect.implausible(term) else 0.0
 
     def rests_on_few(self, parts: Sequence[Part], one: Alternative) -> bool:
         """Whether nothing is left of an effect without the few rows to which it gives most, and it is no larger there than the noise's
