@@ -389,7 +389,7 @@ def _step_ratio(session: AxisSession, step_mm: float, velocity_mm_s: float, look
     session.move_uncorrected(end, velocity_mm_s, slice_s=slice_s, look=look)
     second = session.raw_average()
     session.move_uncorrected(here, velocity_mm_s)
-    session.raw_average()  # an instrument that was lost on the way back is noticed here
+    session.watch(session.how.reading_s)  # an instrument that was lost on the way back is noticed here
     return (second - first) / step
 
 
