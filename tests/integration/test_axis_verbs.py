@@ -316,6 +316,7 @@ def test_what_broke_off_ends_with_the_command_that_goes_on(
     assert last_line(capsys) == f"hil: go on with: {command}"
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     ("verb", "options"),
     [

@@ -13,6 +13,7 @@ from study.truth_machines import DYNAMIC
 from hil.effects import ALL, Action
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("effect", DYNAMIC)
 def test_a_strong_hidden_effect_is_named(effect: str) -> None:
     outcome = run(Case("strong", 20261 + DYNAMIC.index(effect), (effect,), (3.0,)))

@@ -341,6 +341,7 @@ def test_a_bench_with_a_profile_is_refused_on_another_face(tmp_path: Path, capsy
 
 
 # -- the matrix ------------------------------------------------------------------------------------------------------------------
+@pytest.mark.outside
 @pytest.mark.parametrize("name", SAMPLE)
 def test_a_sample_of_the_matrix(name: str) -> None:
     rows = study_profiles([name], ("doctor", "backup", "download --dry-run", "download", "calibrate", "backlash"))

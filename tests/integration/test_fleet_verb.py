@@ -38,6 +38,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.outside
 def test_index_trend_compare_diagnose(fleet: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = str(tmp_path / "out.json")
     assert main(["fleet", "trend", str(fleet)]) == 2
@@ -88,6 +89,7 @@ def test_index_trend_compare_diagnose(fleet: Path, tmp_path: Path, capsys: pytes
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.outside
 def test_campaigns_of_the_program_itself(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

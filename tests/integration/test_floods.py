@@ -27,6 +27,8 @@ from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import attach_to_wire
 from sim_backends.canopen_wire import SimWire
 
+pytestmark = pytest.mark.outside
+
 BEYOND_S = 10.0
 NODES = (2, 5, 127)
 NODE = 5

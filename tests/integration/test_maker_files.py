@@ -364,6 +364,7 @@ def test_the_strict_slave_understands_units_by_itself(make: type[Trial]) -> None
     assert trial.watch.now_rev_s == pytest.approx(1.0, rel=1e-3)
 
 
+@pytest.mark.outside
 def test_every_dictionary_of_the_shared_files() -> None:
     folder = shared_data()
     if folder is None:

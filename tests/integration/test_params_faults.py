@@ -17,7 +17,6 @@ from hil.parameters.report import Ending
 EVERY = 37
 
 
-@pytest.mark.outside
 @pytest.mark.parametrize("kind", KINDS)
 def test_entirely_old_or_entirely_new(kind: str, tmp_path: Path) -> None:
     tally = study(kind, tmp_path, EVERY, first=KINDS.index(kind))

@@ -71,7 +71,6 @@ def one_run(forty: Path, folder: Path, fault: Fault, *, forward: bool = True) ->
     return said.name if said is not None else "nothing to finish", whole, exchanges
 
 
-@pytest.mark.outside
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_request(kind: str, forty: Path, tmp_path: Path) -> None:
     _, whole, exchanges = one_run(forty, tmp_path / "clean", Fault())

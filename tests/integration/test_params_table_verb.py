@@ -68,7 +68,6 @@ def run(axis: AxisConfig, job: str, *options: str) -> int:
     return main(["params", "table", job, str(axis.path), *options])
 
 
-@pytest.mark.outside
 def test_download_prove_show_and_remove(
     kept: Kept, axis: AxisConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -122,7 +121,6 @@ def test_an_interrupt_puts_everything_back(
     assert "interrupted" in capsys.readouterr().err
 
 
-@pytest.mark.outside
 def test_a_change_that_was_broken_off_is_made_good_first(
     kept: Kept, axis: AxisConfig, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -139,7 +137,6 @@ def test_a_change_that_was_broken_off_is_made_good_first(
     assert not note.exists()
 
 
-@pytest.mark.outside
 def test_by_the_instrument_from_end_to_end(
     kept: Kept, axis: AxisConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -158,7 +155,6 @@ def test_by_the_instrument_from_end_to_end(
     assert "would measure" in capsys.readouterr().out
 
 
-@pytest.mark.outside
 @pytest.mark.parametrize(
     ("line", "words"),
     [
@@ -180,7 +176,6 @@ def test_wrong_options_are_one_line(
     assert (kept.raw, kept.enabled) == (OLD, True)
 
 
-@pytest.mark.outside
 def test_a_drive_without_a_table_says_what_to_write_where(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -193,7 +188,6 @@ def test_a_drive_without_a_table_says_what_to_write_where(
         assert "correction_table" in capsys.readouterr().err
 
 
-@pytest.mark.outside
 def test_the_example_as_it_is_shipped(kept: Kept, axis: AxisConfig, capsys: pytest.CaptureFixture[str]) -> None:
     assert hil.examples.drive_table.main(str(axis.path)) == 0
     assert kept.enabled

@@ -65,6 +65,7 @@ def run_json(argv: list[str], path: Path) -> dict[str, dict[str, float]]:
     return found
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_measured_proven_stored_and_in_force_at_other_targets(tmp_path: Path, face: str) -> None:
     x, y = lay_out_bent(tmp_path, face)

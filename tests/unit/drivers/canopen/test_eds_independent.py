@@ -80,6 +80,7 @@ def _differences(eds: EdsFile, path: Path) -> tuple[int, list[str], Counter[str]
     return compared, silent, kinds
 
 
+@pytest.mark.outside
 def test_no_value_differs_without_a_note() -> None:
     compared, refused, silent, kinds, longest = 0, set(), {}, Counter[str](), 0
     for path in FILES:
