@@ -149,12 +149,10 @@ BACKENDS: dict[str, Backend] = {
     "modbus tcp, cia402 map": _modbus("cia402_over_modbus", serial=False),
     "modbus rtu, cia402 map": _modbus("cia402_over_modbus", serial=True),
     "modbus tcp, vendor map": _modbus("vendor_style", serial=False),
-    "modbus rtu, vendor map": _modbus("vendor_style", serial=True),
 }
 MARKS = {
     "canopen, socketcan": pytest.mark.vcan,  # run in the guest where this kernel has no SocketCAN
     "modbus rtu, cia402 map": pytest.mark.outside,  # pseudo-terminals
-    "modbus rtu, vendor map": pytest.mark.outside,
 }
 
 

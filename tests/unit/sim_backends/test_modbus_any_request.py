@@ -62,7 +62,7 @@ def _order(chance: random.Random, *, vendor: bool) -> bytes:
         if chance.random() < 0.3:
             return b"\6\0\6" + chance.randrange(3).to_bytes(2, "big")
     else:
-        places = [(0x2102 + 2 * n, 2) for n in range(5)] + [(0x210C, 1), (0x210E, 2), (0x2200, 1), (0x2400, 2)]
+        places = [(0x2102 + 2 * n, 2) for n in range(5)] + [(0x210C, 1), (0x2200, 1), (0x2400, 2)]
         places += [(0x2202, 2), (0x2204, 2), (0x2206, 2), (0x2402, 2), (0x2404, 2), (0x2406, 2), (0x2600, 1)]
         if chance.random() < 0.3:
             return b"\6\x21\0" + chance.choice([0, 2, 6, 7, 15, 31, 63, 0x80, 0x10F]).to_bytes(2, "big")

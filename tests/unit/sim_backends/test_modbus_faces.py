@@ -117,7 +117,7 @@ def test_every_object_stands_where_the_map_says() -> None:
             assert face.dictionary.number(index, subindex) == marker, name
         assert access.integers([name])[name] == face.dictionary.number(index, subindex), name
         checked += 1
-    assert checked >= 50
+    assert checked >= 49
 
 
 def test_wide_objects_keep_sign_and_word_order() -> None:

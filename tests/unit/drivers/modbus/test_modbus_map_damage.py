@@ -79,7 +79,7 @@ def test_every_key_given_every_kind_of_value(tmp_path: Path, name: str) -> None:
 
 def test_a_file_that_is_no_text_and_one_that_is_not_there(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
-    path.write_bytes(b"\xff\xfe[map]")
+    path.write_bytes(b"[map]\xff")
     with pytest.raises(InputError, match="is not UTF-8 text"):
         load_drive_map(path)
     with pytest.raises(InputError, match="is neither a file nor a shipped register map"):
