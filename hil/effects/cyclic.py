@@ -47,6 +47,8 @@ HIGHEST_ORDER = 8
 SAME_PERIOD = 0.02
 """Relative difference below which two periods are one, at least: of one turn of measured signals 1.1 %, where 0.9 % is stated;
 neighbouring orders differ by an eighth and more."""
+DECADE, FAR_ABOVE = 10.0, 3.0
+"""Ends of an interval, over one another and over the value, beyond which only the upper one is stated."""
 COMMON_MM = (0.5, 1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
 """Common screw pitches and scale periods, tried beside the even scan."""
 
@@ -139,7 +141,9 @@ class Cyclic(Effect):
         return Wave(lambda x: first.at_um(x) + (x - centre) / half_span * change.at_um(x), math.inf)
 
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        found = {"period_mm": period_mm(term), "amplitude_um": term.amplitude(0, 1), "phase": term.angle(0, 1)}
+        size = term.amplitude(0, 1)
+        amplitude = {"amplitude_um": size} if is_known(size) else {"most_amplitude_um": Estimate(size.interval[1], 0.0)}
+        found = {"period_mm": period_mm(term), **amplitude, "phase": term.angle(0, 1)}
         order, changes = FORMS[term.form.name]
         if order:
             found[f"{ORDINAL[order]}_harmonic_um"] = term.amplitude(2, 3)
@@ -173,7 +177,17 @@ class Cyclic(Effect):
                 f"order {order} of half the wavelength of a helium-neon laser, so the interferometer itself divides unevenly"
                 " (offsets, gains and phase of its two signals, stray light)"
             )
-        return f"The error repeats every {period_mm(term)} mm of travel with an amplitude of {term.amplitude(0, 1)} µm{extra}: {part}."
+        size = term.amplitude(0, 1)
+        amplitude = f"{size} µm" if is_known(size) else f"at most {size.interval[1]:.3g} µm"
+        return (
+            f"The error repeats every {period_mm(term)} mm of travel with an amplitude of {amplitude}{extra}: {part}."
+        )
+
+
+def is_known(size: Estimate) -> bool:
+    """Whether the rows determine a size: its interval spans no decade, and does not end far above it."""
+    low, high = size.interval
+    return high <= DECADE * max(low, 0.0) or high <= FAR_ABOVE * size.value
 
 
 def parts_that_turn(terms: Sequence[Term]) -> list[list[Term]]:

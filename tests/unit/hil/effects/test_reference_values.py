@@ -17,6 +17,7 @@ from drivers.errors import InputError
 from hil.effects import ALL, Estimate, Form, Term
 from hil.effects.air import refractivity_ppm
 from hil.effects.base import NonLinear, slopes_of
+from hil.effects.cyclic import parts_that_turn
 from hil.effects.history import BRANCH, lagged, with_branches
 
 EFFECTS = {effect.id: effect for effect in ALL}
@@ -966,6 +967,35 @@ def test_cyclic_amplitude_and_phase() -> None:
         assert values(more.parameters)[name] == sizes.get(name, (13.0, 0.1))
         assert set(more.parameters) == {"period_mm", "amplitude_um", "phase", name}
         assert "amplitude of 5 ± 0.2 µm, " in more.effect.explain(more)
+
+
+@pytest.mark.parametrize(
+    ("std_um", "stated"), [(0.1, "5 ± 0.2 µm"), (4.0, "5 ± 8 µm"), (100.0, "at most 205 µm"), (6.0, "at most 17 µm")]
+)
+def test_of_an_amplitude_far_within_its_uncertainty_only_the_most_is_stated(std_um: float, stated: str) -> None:
+    """3 sin + 4 cos, σ alike of both: the interval is 5 ± 2 σ."""
+    found = term("cyclic", "fundamental", ["target_mm"], [3.0, 4.0], (8.0,), stds=[std_um, std_um, 0.1])
+    name = "most_amplitude_um" if "most" in stated else "amplitude_um"
+    assert set(found.parameters) == {"period_mm", name, "phase"}
+    assert f"an amplitude of {stated}:" in found.effect.explain(found)
+
+
+@pytest.mark.parametrize(
+    ("periods", "parts"),
+    [
+        ((20.0, 10.0, 6.67), [[20.0, 10.0, 6.67]]),
+        ((6.67, 20.0, 13.0), [[20.0, 6.67], [13.0]]),
+        ((10.0, 10.05, 7.1), [[10.05, 10.0], [7.1]]),  # 400 mm do not tell the first two apart
+    ],
+)
+def test_harmonics_and_sidebands_are_of_one_part(periods: tuple[float, ...], parts: list[list[float]]) -> None:
+    travel = (NonLinear("period_mm", 0.5, 200.0),)
+    terms = []
+    for period in periods:
+        one = term("cyclic", "fundamental", ["target_mm"], [3.0, 4.0], (period,), stds=[0.1, 0.1, 0.01])
+        terms.append(replace(one, form=replace(one.form, nonlinear=travel)))
+    assert [[one.theta[0] for one in part] for part in parts_that_turn(terms)] == parts
+    assert terms[0].effect.explain_all(terms).count("a part that turns") == len(parts)
 
 
 @pytest.mark.parametrize(("order", "name"), [(2, "second"), (3, "third")])
