@@ -1,4 +1,4 @@
-"""Every target bears its seeds and the cases found so far; a few seconds of guided fuzzing each in the slow suite."""
+"""Every target bears its seeds and the cases found so far; a few seconds of guided fuzzing each with `-m outside`."""
 
 from __future__ import annotations
 

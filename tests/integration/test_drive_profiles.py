@@ -28,7 +28,7 @@ from sim_backends.maker_file import read_maker_file
 
 NAMES = tuple(profile_paths())
 SAMPLE = ("ipos", "leadshine_2cs3e", "old_node")
-"""For the fast suite: a slow loop and units of its own; states that are shown late or always; PDOs that cannot be switched off."""
+"""For the default suite: a slow loop and units of its own; states that are shown late or always; PDOs that cannot be switched off."""
 TEXT = """
 [drive]
 maker = "somebody"

@@ -1,6 +1,6 @@
 """The diagnosis compared with the usual ways to choose among columns, and with a black box, on the same machines of the grammar.
 
-Run by hand for the table (`python tests/study/comparison.py --machines 100 --report FILE.md`), with few machines by the slow suite.
+Run by hand for the table (`python tests/study/comparison.py --machines 100 --report FILE.md`), with few machines by a test.
 The usual ways are given the diagnosis's own candidate columns. The report is rewritten after every machine, so that an interrupted
 run has one too.
 """

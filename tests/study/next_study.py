@@ -3,7 +3,7 @@
 Each machine holds one effect and was calibrated before it appeared. It is measured by a standard bidirectional test at fixed targets,
 without any sensor; the causes that look alike there are named. Then the run asked for is measured on the same machine, up to
 `ROUNDS` times, and the most probable cause at the end is compared with the true one. Run by hand for the whole study
-(`python tests/study/next_study.py --machines 170`), with few machines by the slow suite.
+(`python tests/study/next_study.py --machines 170`), with few machines by a test.
 """
 
 from __future__ import annotations

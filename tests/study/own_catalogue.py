@@ -2,7 +2,7 @@
 
 `python tests/study/own_catalogue.py --machines 520 --report FILE.md` (or .html) runs the whole study and writes the figures beside
 their required bounds. With `--json FILE` every outcome is appended as it comes, and an interrupted study is continued from there.
-The fast suite runs it with few machines, the slow one with more.
+Tests run it with few machines, those marked `outside` with more.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """A download of 40 parameters with each kind of fault at every frame: `python tests/study/params_every_frame.py [EVERY]`.
 
-Prints a table; EVERY takes each n-th frame only (default 1: every frame). The slow tests run it with some frames.
+Prints a table; EVERY takes each n-th frame only (default 1: every frame). Tests marked `outside` run it with some frames.
 """
 
 from __future__ import annotations
