@@ -139,8 +139,10 @@ def test_figures_come_with_what_the_axis_file_says_of_the_instrument(tmp_path: P
     path = lay_out(tmp_path)
     path.write_text(path.read_text() + "\n[uncertainty]\nvariation_um = 1.7320508\n")
     axis = load_axis(path)
-    kept(axis.store.directory, "calibrate-001", {"measure": BEFORE}, "2026-03-01T10:00:00+00:00")
-    # U_EVE = 1.732/sqrt(3) = 1 µm, n = 2: U(R) = sqrt(4 + 2/2), U(E) = sqrt(2/2), U(A) = sqrt(1 + 4)
+    level = rows((run, way, x, 10.0 + way) for run in (1, 2) for way in (1, -1) for x in (0.0, 50.0, 100.0))
+    kept(axis.store.directory, "calibrate-001", {"measure": level}, "2026-03-01T10:00:00+00:00")
+    # alike at all targets, so that another choice changes nothing; U_EVE = 1.732/sqrt(3) = 1 µm, n = 2:
+    # U(R) = sqrt(4 + 2/2), U(E) = sqrt(2/2), U(A) = sqrt(1 + 4)
     u95 = calibration_screen(axis).stages["before"].u95_um
     assert [u95[name] for name in ("R", "E", "A")] == pytest.approx([5**0.5, 1.0, 5**0.5], rel=1e-6)
 
