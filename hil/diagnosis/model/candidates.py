@@ -6,7 +6,7 @@ The prior over a grid is even, so the evidence of an effect is its mean over the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -20,8 +20,7 @@ from hil.diagnosis.model.evidence import Candidate, Fit, Part
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import Rows
 from hil.diagnosis.table import SplineShape
-from hil.effects import Effect, Estimate, Form, Term
-from hil.effects.backlash_position import BacklashPosition
+from hil.effects import Effect, Form
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
@@ -54,17 +53,6 @@ class Table:
     def held(self, columns: Floats) -> Floats:
         """Its values, (n, k)."""
         return np.asarray(self._columns @ self.coefficients(columns))
-
-
-class WithMean(BacklashPosition):
-    """Backlash that varies along the axis about a mean of its own, the last coefficient: a declared table lacks both together."""
-
-    def basis(self, form: Form, theta: Sequence[float], columns: Mapping[str, Floats]) -> Floats:
-        return np.column_stack([super().basis(form, theta, columns), columns["direction"]])
-
-    def parameters(self, term: Term) -> dict[str, Estimate]:
-        own = tuple(row[:-1] for row in term.covariance[:-1])
-        return super().parameters(replace(term, coefficients=term.coefficients[:-1], covariance=own, likely=()))
 
 
 @dataclass(frozen=True)
@@ -104,6 +92,9 @@ class Catalogue:
         self.refining: dict[str, list[Form]] = {}
         self.wandering: list[Candidate] = []
         self.beside: dict[str, float] = {}
+        self._varying = {
+            effect.mean_of for effect in effects if rows.is_declared and rows.campaign.basis.both_directions
+        }
         for effect in effects:
             for form in effect.forms(self.campaign.survey):
                 if form.shrunk:
@@ -117,6 +108,11 @@ class Catalogue:
     def table(self) -> Table:
         return Table(self.campaign)
 
+    @property
+    def _mean(self) -> Floats:
+        """The mean of what varies along the axis with the direction, which a declared table lacks together with it, (n, 1)."""
+        return self.campaign.d[:, None]
+
     def _add(self, effect: Effect, form: Form) -> None:
         columns = effect.bases(form, form.starts, self.campaign.columns)
         groups = columns.reshape(len(columns), len(form.starts), -1)
@@ -128,9 +124,18 @@ class Catalogue:
         if not np.any(kept):
             return
         scanned = left.reshape(groups.shape) if self.rows.is_declared and not effect.static else groups
+        if effect.id in self._varying:
+            scanned = np.concatenate(
+                [scanned, np.broadcast_to(self._mean[:, :, None], (*scanned.shape[:2], 1))], axis=2
+            )
         chosen = scanned[:, kept].reshape(len(columns), -1).astype(np.float32)
         thetas = tuple(tuple(theta) for theta, one in zip(form.starts, kept, strict=True) if one)
         self.grids.append(Grid(effect, form, thetas, chosen))
+
+    def prior(self, effect: Effect, form: Form) -> float:
+        """Log prior odds of a form; those of forms with parameters are paid by their grid, and a shape with a mean is two."""
+        own = 0.0 if form.nonlinear else form.log_odds
+        return effect.log_odds + own - USUAL.richer * ((not form.scan) + (effect.id in self._varying))
 
     def part(self, candidate: Candidate, log_prior: float) -> Part:
         """A candidate as a part of the model."""
@@ -142,6 +147,8 @@ class Catalogue:
         held = none
         if self.rows.is_declared and not effect.static:  # the table was measured with some of it
             held = self.table.held(columns)
+        if effect.id in self._varying:
+            held = self._mean
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
 
     @cached_property
@@ -178,7 +185,7 @@ class Catalogue:
     def _best(self, grid: Grid, fit: Fit, gains: Floats, behind: float) -> Ranked:
         at = int(np.argmax(gains))
         occam = float(logsumexp(gains) - gains[at]) - math.log(len(gains))
-        prior = occam + prior_of(grid.effect, grid.form)
+        prior = occam + self.prior(grid.effect, grid.form)
         part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at]), prior)
         return Ranked(behind + float(gains[at]) + prior, part, fit)
 
@@ -220,14 +227,8 @@ class Catalogue:
             thetas = [one.theta] if len(form.nonlinear) == len(one.theta) else list(form.starts)
             trials = [Candidate(one.effect, form, tuple(theta)) for theta in thetas]
             best = max(trials, key=lambda trial: fit.gain(self._columns(trial))) if len(trials) > 1 else trials[0]
-            prior = part.log_prior - prior_of(one.effect, one.form) + prior_of(one.effect, form)
+            prior = part.log_prior - self.prior(one.effect, one.form) + self.prior(one.effect, form)
             yield self.part(best, prior)
-
-
-def prior_of(effect: Effect, form: Form) -> float:
-    """Log prior odds of a form; those of forms with parameters are paid by their grid."""
-    own = 0.0 if form.nonlinear else form.log_odds
-    return effect.log_odds + own - (0.0 if form.scan else USUAL.richer)
 
 
 def _steps(one: Candidate, campaign: CampaignRows, logs: NDArray[np.bool_]) -> Floats:
@@ -242,7 +243,5 @@ def _steps(one: Candidate, campaign: CampaignRows, logs: NDArray[np.bool_]) -> F
 
 
 def effects_beside(rows: Rows, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The effects that can be found: those that are a table only beside a declared one, where backlash along the axis has its mean."""
-    if not rows.is_declared:
-        return tuple(effect for effect in effects if not effect.is_table)
-    return tuple(WithMean() if effect.id == BacklashPosition.id else effect for effect in effects)
+    """The effects that can be found: those that are a table only beside a declared one."""
+    return tuple(effect for effect in effects if rows.is_declared or not effect.is_table)

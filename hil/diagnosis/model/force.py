@@ -105,7 +105,7 @@ def _with_held(table: PitchTable, fit: Fit, live: Collection[int]) -> PitchTable
     x = np.array(table.positions_mm)
     moved = np.zeros((2, len(x)))
     for part in held:
-        coefficients = own.coefficients(part.free) @ fit.beta[fit.where(part, "fixed")]
+        coefficients = own.coefficients(part.fixed) @ fit.beta[fit.where(part, "fixed")]
         for i, direction in enumerate((1.0, -1.0)):
             moved[i] += own.at(x, np.full(len(x), direction)) @ coefficients
     forward, backward = (

@@ -9,9 +9,11 @@ import pytest
 from support.campaigns import Array, Errors, campaign, wavy
 
 from hil.diagnosis import fit_model
+from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.model import diagnosing
 from hil.diagnosis.result import OUTSIDE, Diagnosis
 from hil.effects import ALL, Action
+from hil.effects.model import Model
 from hil.effects.warming import is_bounded
 
 
@@ -169,9 +171,21 @@ def test_harmonics_of_one_part_are_told_of_one_part() -> None:
     assert finding.explanation.count("a part that turns") == 1
 
 
-def test_beside_a_table_measured_before_a_worn_zone_is_named() -> None:
+@pytest.mark.parametrize(
+    ("effect", "came"),
+    [
+        ("local_wear", lambda c: 2.0 * np.exp(-0.5 * ((x(c) - 200.0) / 25.0) ** 2)),
+        ("backlash_position", lambda c: c["direction"] * (1.0 + 1.5 * (x(c) / 150.0 - 1.0))),
+        ("backlash", lambda c: 1.0 * c["direction"]),
+        ("thermal_expansion", lambda c: 0.011 * x(c) * (c["temp_screw_c"] - 20.0)),
+    ],
+)
+def test_beside_a_table_measured_before_what_came_since_is_named_and_corrected(effect: str, came: Errors) -> None:
     before = campaign(wavy, seed=8)
-    now = campaign(lambda c: wavy(c) + 2.0 * np.exp(-0.5 * ((x(c) - 200.0) / 25.0) ** 2), seed=9)
+    now, later = (campaign(lambda c: wavy(c) + came(c), sensors=sensors, seed=seed) for seed in (9, 10))
     found = diagnosing.diagnose(now, fit_model(before), ALL, 0)
-    assert [finding.effect for finding in found.findings] == ["local_wear"]
-    assert found.after.rms_um < 0.5 * found.before.rms_um
+    assert [finding.effect for finding in found.findings] == [effect]
+    assert found.after.rms_um < 0.7 * found.before.rms_um
+    read = Model.from_json(found.extended.to_json())
+    left_um = later.uncorrected_error_um + read.correction_um(columns_of(later))
+    assert np.std(left_um) < 1.4 * 0.3
