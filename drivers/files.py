@@ -55,7 +55,7 @@ _OTHER_FORMS = {
     b"\xff\xd8\xff": "a JPEG picture",
 }
 """First bytes of files that are not read, and what they are."""
-_XML = re.compile(r"\s*+<(\?xml\b|!doctype (?!html)|[\w:.-]+\s[^<>]{0,999}\bxmlns)", re.IGNORECASE)
+_XML = re.compile(r"\s*+<(\?xml\b|!--|!doctype (?!html)|[\w:.-]+\s[^<>]{0,999}\bxmlns)", re.IGNORECASE)
 _HTML = re.compile(r"\s*+<(!doctype html|html)\b", re.IGNORECASE)
 
 
@@ -82,9 +82,10 @@ def decode_text(
         if data.startswith(begin):
             raise InputError(f"is {form}, expected {expected}; export it in that form", path=path)
     codec = encoding_of(data)
-    if codec == "utf-8" and b"\0" in data[:2]:
+    if codec == "utf-8" and (data[:1] == b"\0") != (data[1:2] == b"\0"):
         raise InputError(
-            f"holds zero bytes, as UTF-16 without its byte-order mark does, expected {expected}", path=path
+            f"is UTF-16 without its byte-order mark (every second byte is zero), expected {expected}; save it as UTF-8",
+            path=path,
         )
     try:
         text = data.decode(codec)
@@ -95,7 +96,8 @@ def decode_text(
         line = data[:at].decode(codec, "replace").count("\n") + 1
         name = codec.removesuffix("-sig").upper()
         raise InputError(f"byte {data[at]:02X}h is not {name} text", path=path, line=line) from error
-    for form, pattern in (("XML, as XDD, XDC and ESI files are", _XML), ("an HTML page", _HTML)):
+    text = text.lstrip("\ufeff")  # programs that append to a file, or convert it, write a second mark
+    for form, pattern in (("XML, as XDD, XDC, ESI and spreadsheet files are", _XML), ("an HTML page", _HTML)):
         if pattern.match(text):
             raise InputError(f"is {form}, expected {expected}; export it in that form", path=path)
     return text
@@ -125,14 +127,23 @@ def without_empty_end(cells: list[str], columns: int = 0) -> list[str]:
     return cells[:end]
 
 
+DELIMITERS = ("\t", ";", ",")
+"""What parts the columns of a table, the first that its header holds."""
+
+
 def table_rows(lines: Iterable[str]) -> Iterator[tuple[int, list[str]]]:
-    """Number and cells of each row of a table with commas; the first row is its header."""
-    columns = 0
+    """Number and cells of each row of a table; the first row is its header."""
+    columns, delimiter = 0, ""
     for number, line in enumerate(lines, start=1):
         if is_row(line):
-            cells = without_empty_end([cell.strip() for cell in line.split(",")], columns)
+            delimiter = delimiter or next((each for each in DELIMITERS if each in line), ",")
+            cells = without_empty_end([_unquoted(cell.strip()) for cell in line.split(delimiter)], columns)
             columns = columns or len(cells)
             yield number, cells
+
+
+def _unquoted(cell: str) -> str:
+    return cell[1:-1].strip() if len(cell) > 1 and cell[0] == cell[-1] == '"' else cell
 
 
 def _older(data: bytes) -> str:

@@ -1,4 +1,4 @@
-"""Patterns of the lines in which a gauge sends its value as text: the shipped ones, and the check of others. No I/O."""
+"""Lines in which a gauge sends its value as text: their units, the shipped patterns, and the check of others. No I/O."""
 
 from __future__ import annotations
 
@@ -6,9 +6,13 @@ import re
 
 from drivers.toml_types import SchemaError
 
+MM: dict[str, float] = {
+    "mm": 1.0, "um": 1e-3, "\N{GREEK SMALL LETTER MU}m": 1e-3, "in": 25.4, "inch": 25.4, "inches": 25.4, '"': 25.4
+}  # fmt: skip
+"""Unit, case-folded (the micro sign becomes a mu), -> mm."""
 PATTERNS: dict[str, str] = {
     "mitutoyo": r"0\dA(?P<value>[+-](?=[\d.]{8}$)\d+\.\d+)",
-    "number": r"\s*+(?P<value>[+-]?\s*+\d+(\.\d+)?)\s*+(?P<unit>mm|um|\N{GREEK SMALL LETTER MU}m|in|inch|\")?\s*",
+    "number": r"\s*+(?P<value>[+-]?\s*+\d+(\.\d+)?)\s*+(?P<unit>mm|um|\N{GREEK SMALL LETTER MU}m|in|inch|inches|\")?\s*",
 }
 EXPECTED = r"number, mitutoyo, or a regular expression such as '(?P<value>[+-]\d+\.\d{4}) (?P<unit>mm|in)'"
 """What a pattern has to be, for errors."""

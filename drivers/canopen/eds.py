@@ -133,6 +133,9 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
     except InputError as error:
         raise InputError(error.what, path=path) from error
     if not any(object_number(name) for name in parsed.sections):
+        if text.lstrip().startswith("<"):
+            what = "is XML, as XDD and XDC files are, expected EDS or DCF (CiA 306); export it in that form"
+            raise InputError(what, path=path)
         raise InputError("holds no object, expected sections such as [1000]", path=path)
     commissioning = parsed.sections.get("DeviceComissioning", {})
     own_id = whole_number(commissioning.get("NodeID"))

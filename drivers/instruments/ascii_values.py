@@ -15,12 +15,10 @@ from dataclasses import dataclass
 from drivers.errors import InputError
 from drivers.instruments.lines import LineSplitter
 from drivers.instruments.values import BadLine, Fault, Value, ValueEvent
-from drivers.value_pattern import fault_pattern, value_pattern
+from drivers.value_pattern import MM, fault_pattern, value_pattern
 
 LONGEST_BYTES = 200
 
-MM: dict[str, float] = {"mm": 1.0, "um": 1e-3, "\N{GREEK SMALL LETTER MU}m": 1e-3, "in": 25.4, "inch": 25.4, '"': 25.4}
-"""Unit, case-folded (the micro sign becomes a mu), -> mm."""
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d{1,2})?")
 
 
@@ -90,6 +88,8 @@ class AsciiDecoder:
             return BadLine(raw, f"has another number of decimals than {wanted}")
         unit = match.groupdict().get("unit") or self.settings.unit
         if unit.casefold() not in MM:
-            return BadLine(raw, f"has the unit {unit[:8]!r}, expected one of {', '.join(MM)}")
+            return BadLine(
+                raw, f"has the unit {unit[:8]!r}, expected one of {', '.join(MM)}; state it (unit), without that group"
+            )
         value_mm = float(number) * MM[unit.casefold()]
         return Value(value_mm) if math.isfinite(value_mm) else BadLine(raw, "holds a number out of range")

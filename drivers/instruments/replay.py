@@ -88,7 +88,7 @@ def _lines(file: io.BufferedReader) -> Iterator[str]:
                     f"is too long unpacked, expected at most {MOST_BYTES >> 20} MiB in {MOST_LINES} lines"
                     f" of {_LONGEST_LINE >> 20} MiB"
                 )
-            yield line
+            yield line.lstrip("\ufeff") if count == 1 else line
 
 
 def _columns(lines: Iterator[str]) -> dict[str, Sequence[float]]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from drivers.toml_schema import Document
 from drivers.toml_types import File, Key, Limits, Name, Number, Positive, SchemaError, Text, Via, one_of
-from drivers.value_pattern import EXPECTED, fault_pattern, value_pattern
+from drivers.value_pattern import EXPECTED, MM, fault_pattern, value_pattern
 from hil.axis.agreement import WITHIN_UM
 from hil.figures.alignment import Alignment
 from hil.figures.material import Material
@@ -60,6 +60,12 @@ class FixedAirConfig:
     humidity_percent: Annotated[float, Limits(ge=0.0, le=100.0)] | None = None
 
 
+def _length_unit(value: str, _: Any) -> str:
+    if value.casefold() not in MM:
+        raise ValueError
+    return value.casefold()
+
+
 @dataclass(frozen=True)
 class DisplayConfig:
     """A display or gauge that sends a value in a line (kinds nd2xx and ascii), and its serial line.
@@ -76,7 +82,7 @@ class DisplayConfig:
     pulsed: bool = False
     pattern: Annotated[Text, Limits(description=EXPECTED)] = ""
     fault: Annotated[Text, Limits(description="a regular expression")] = ""
-    unit: Annotated[str, one_of("mm", "um", "in")] = "mm"
+    unit: Annotated[str, Via(Text, _length_unit, '"mm", "um" or "in"')] = "mm"
     decimals: Annotated[int, Limits(ge=0, le=9)] | None = None
     request: Annotated[
         str, Limits(pattern=r"\A[\x00-\x7f]{1,40}\Z", description="ASCII text of up to 40 characters")

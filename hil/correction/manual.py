@@ -24,7 +24,7 @@ from hil.correction.tables import (
     TableSet,
 )
 from hil.records.files import split_lines
-from hil.records.rows import Floats, parse_number, shown
+from hil.records.rows import Floats, parse_number, repeats, shown
 
 _KNOWN = (
     "position_mm",
@@ -157,8 +157,12 @@ def _read_columns(
         if len(cells) != len(names):
             raise InputError(f"row has {len(cells)} columns, expected {len(names)}", path=path, line=line)
         values.append([_number(cell, name, path, line) for name, cell in zip(names, cells, strict=True)])
-    table = np.array(values)
-    return {name: table[:, index] for index, name in enumerate(names)}
+    columns = dict(zip(names, np.array(values).T, strict=True))
+    for name in names:
+        if name.endswith("_um") and "position_mm" in columns and repeats(columns["position_mm"], columns[name]):
+            what = f"{name} repeats the positions in mm: expected corrections in µm, not the positions that are reached"
+            raise InputError(what, path=path, line=header_line)
+    return columns
 
 
 def _rows(text: str) -> list[tuple[int, list[str]]]:
@@ -169,5 +173,6 @@ def _rows(text: str) -> list[tuple[int, list[str]]]:
 def _number(cell: str, name: str, path: str | Path, line: int) -> float:
     value = parse_number(cell.strip())
     if value is None or not math.isfinite(value):
-        raise InputError(f"{name} is {shown(cell.strip())}, expected a finite number", path=path, line=line)
+        point = " with a decimal point" if "," in cell else ""
+        raise InputError(f"{name} is {shown(cell.strip())}, expected a finite number{point}", path=path, line=line)
     return value

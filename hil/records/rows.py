@@ -189,10 +189,12 @@ def concatenate(parts: Iterable[Records]) -> Records:
 
 MOVES_WITH = (0.5, 1.5)
 """Change of the measured position per change of the target, mm/mm: no machine is wrong by a half."""
-FAR_MM, STRAIGHT = 1.0, 0.1
-"""Standard deviation of targets from which errors cannot be what such a change shows, and share of it within which positions lie on a
-line: a drift of micrometres at one place has any slope.
+FAR_MM, STRAIGHT = 0.1, 0.1
+"""Standard deviation of targets, or of positions, from which errors cannot be what such a change shows, and share of it within which
+positions lie on a line: a drift of micrometres at one place has any slope.
 """
+REPEATS = 1e-3
+"""Share by which numbers of µm that repeat those of mm deviate from doing so: a position is off by less."""
 OTHER_UNITS = (
     (re.compile(r"(temp_\w+|air_temp)_c"), 200.0, 400.0, "°C", "kelvin"),
     (re.compile(r"air_pressure_hpa"), 50.0, 120.0, "hPa", "kPa"),
@@ -208,7 +210,7 @@ def refuse_other_units(records: Records) -> None:
     """
     target = records.target_mm - np.mean(records.target_mm)
     spread = float(np.std(target))
-    if spread > FAR_MM:
+    if spread and max(spread, float(np.std(records.measured_mm))) > FAR_MM:
         slope = float(target @ records.measured_mm) / float(target @ target)
         off = records.measured_mm - np.mean(records.measured_mm) - slope * target
         is_straight = float(np.std(off)) < STRAIGHT * spread * max(1.0, abs(slope))
@@ -222,6 +224,12 @@ def refuse_other_units(records: Records) -> None:
             known = records[name][np.isfinite(records[name])]
             if len(known) and least <= float(np.mean(known)) <= most:
                 raise InputError(f"{name} is {np.mean(known):.5g} in the mean, expected {unit}: it looks like {other}")
+
+
+def repeats(position_mm: Floats, value_um: Floats) -> bool:
+    """Whether values in µm are the numbers of the positions in mm, shape (n,) each: positions in place of errors."""
+    off = value_um - position_mm - np.mean(value_um - position_mm)
+    return bool(np.std(position_mm) > FAR_MM and np.std(off) < REPEATS * np.std(position_mm))
 
 
 def read_csv(path: str | Path) -> Records:

@@ -82,6 +82,7 @@ ENCODINGS = {
     "UTF-16": lambda text: text.encode("utf-16"),
     "UTF-16 big end first": lambda text: b"\xfe\xff" + text.encode("utf-16-be"),
     "UTF-32": lambda text: text.encode("utf-32"),
+    "two marks": lambda text: f"\ufeff\ufeff{text}".encode(),
 }
 
 
@@ -124,6 +125,15 @@ def test_another_form_is_named(name: str, tmp_path: Path, capsys: pytest.Capture
             said = ""
         assert f"{path}" in said
         assert named in said
+
+
+@pytest.mark.parametrize("begin", ["", "<!-- made by an editor -->\n", "\n"])
+@pytest.mark.parametrize("root", ["ISO15745ProfileContainer", "CanOpenProject", "EtherCATInfo"])
+def test_xml_is_named_as_a_drive_s_file_without_declaration_too(begin: str, root: str, tmp_path: Path) -> None:
+    path = tmp_path / "drive.xdd"
+    path.write_text(f"{begin}<{root}>\n <a/>\n</{root}>\n")
+    with pytest.raises(InputError, match=r"is XML, as XDD.* expected EDS or DCF"):
+        load_eds(path)
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-32"])

@@ -27,7 +27,7 @@ from hil.correction.formats import (
     twincat,
     wide_iso,
 )
-from hil.correction.formats.common import Export, enough, refuse_errors_as_positions, refuse_positions
+from hil.correction.formats.common import Export, enough, refuse_errors_as_positions, refuse_positions, refuse_turned
 from hil.correction.tables import TableSet
 from hil.records.rows import Records
 
@@ -61,9 +61,10 @@ class Measurement:
     remedy: str
 
     def read(self, text: str, settings: Any) -> Records:
-        """The rows of a file. Raises InputError, also as `refuse_errors_as_positions`."""
+        """The rows of a file. Raises InputError, also as `refuse_errors_as_positions` and `refuse_turned`."""
         records = self.load(text, settings)
         refuse_errors_as_positions(records, self.remedy)
+        refuse_turned(records)
         return records
 
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
-from drivers.files import SEPARATOR, is_row, without_empty_end
+from drivers.files import DELIMITERS, SEPARATOR, is_row, without_empty_end
 from hil.correction.compensation import Compensation, ErrorTerm
 from hil.correction.fold import folded
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects import Term
-from hil.records.rows import FAR_MM, UM_PER_MM, Floats, Records, parse_number, refuse_other_units, shown
+from hil.records.rows import UM_PER_MM, Floats, Records, parse_number, refuse_other_units, repeats, shown
 
 NM_IN_UM = 1e-3
 LENGTH_MM = {
@@ -32,8 +32,14 @@ LENGTH_MM = {
     "m": 1000.0,
     "in": 25.4,
     "inch": 25.4,
+    "inches": 25.4,
+    "uin": 25.4e-6,
+    "µin": 25.4e-6,
+    "μin": 25.4e-6,
 }
 """Unit of a length -> mm."""
+_NAMED_UNIT = re.compile(r"(?:[\[(]|\bin |_|/ ?)([a-zµμ]+)[\])]?$", re.IGNORECASE)
+"""The unit at the end of a heading: `Ist [µm]`, `error_mm`, `deviation in um`."""
 
 
 @dataclass(frozen=True)
@@ -268,8 +274,6 @@ def thinned(table: DirectionalTable, max_points: int, tolerance_um: float) -> Di
 
 GROWS = 0.1
 """Change of a correction with the position, mm/mm, that no machine needs: ten times the default of `max_slope_um_per_mm`."""
-REPEATS = 1e-3
-"""Share by which errors in µm that repeat the targets in mm deviate from doing so: a position is off by less."""
 
 
 def refuse_positions(tables: TableSet, remedy: str) -> None:
@@ -294,13 +298,23 @@ def refuse_errors_as_positions(records: Records, remedy: str) -> None:
     except InputError as error:
         raise InputError(f"{error.what}; {remedy}") from error
     target, error_um = records.target_mm, records.error_um
-    off = error_um - target - np.mean(error_um - target)
-    if np.std(target) > FAR_MM and np.std(off) < REPEATS * np.std(target):
+    if repeats(target, error_um):
         raise InputError(f"the errors in µm repeat the targets in mm: they are positions; {remedy}")
 
 
+def refuse_turned(records: Records) -> None:
+    """Raises InputError where every way along the axis, in both directions, runs against its direction."""
+    follows = (np.diff(records.run) == 0) & (np.diff(records.direction) == 0)
+    along = (np.diff(records.target_mm) * records.direction[1:])[follows]
+    signs = set(records.direction[1:][follows][along != 0].tolist())
+    if signs == {1.0, -1.0} and np.all(along <= 0):
+        raise InputError(
+            "the targets fall in direction + and rise in -: exchange the directions, or put the rows in the order of time"
+        )
+
+
 def _slope(x: Floats, y: Floats) -> float:
-    from_middle = x - np.mean(x)
+    from_middle = x if len(x) == 1 else x - np.mean(x)  # a single point: against zero
     square = float(from_middle @ from_middle)
     return float(from_middle @ y) / square if square else 0.0
 
@@ -346,36 +360,46 @@ Rows = list[tuple[int, list[str]]]
 """Number and cells of each row of a file."""
 
 
-def delimited_rows(text: str, delimiter: str, is_header: Callable[[list[str]], bool]) -> Rows:
-    """The header, the first row that is one, and the rows below it; all rows where none is.
+def delimited_rows(text: str, delimiter: str, share: Callable[[list[str]], float]) -> Rows:
+    """The header and the rows below it; where no row is a whole header, the one that is most of it, alone.
 
     delimiter: "" for the one that a line `sep=` names, else the first of tab, semicolon and comma with which the header is one. Empty
-    cells behind the header's last are left out. Raises InputError with the line for a row of another width, and
-    for a table without a row below the header.
+    cells behind the header's last are left out. share: how much of a header the cells of a row are; 1 for a whole one, the first of
+    which is taken. Raises InputError with the line for a row of another width, and for a table without a row below the header.
     """
     lines = list(enumerate(_LINE_END.split(text), start=1))  # not stripped: a row may begin with empty cells
     found_mark = SEPARATOR.fullmatch(lines[0][1].strip(" "))
     named = "" if found_mark is None else found_mark[1]
     rows = [(number, line) for number, line in lines if is_row(line)]
-    candidates = [delimiter or named] if delimiter or named else ["\t", ";", ","]
-    places = ((place, each) for place, (_, line) in enumerate(rows) for each in candidates if each in line)
-    first, found = next(
-        ((place, each) for place, each in places if is_header(_cells(rows[place], each))),
-        (0, next((each for each in candidates if rows and each in rows[0][1]), "")),
-    )
-    if rows and not found:
-        raise InputError(
-            "the header has no tab, semicolon or comma to part its columns; name the delimiter (delimiter)",
-            line=rows[0][0],
-        )
-    if len(rows) - first < 2:
+    if len(rows) < 2:
         raise InputError("holds no table, expected a header and at least one row")
+    candidates = (delimiter or named,) if delimiter or named else DELIMITERS
+    best, first, found = 0.0, 0, ""
+    for place, each in ((place, each) for place, (_, line) in enumerate(rows) for each in candidates if each in line):
+        here = share(_cells(rows[place], each))
+        if not found or here > best:
+            best, first, found = here, place, each
+        if best >= 1.0:
+            break
+    if named and not delimiter and not best:
+        raise InputError(
+            f"names the delimiter {named!r}, and no row parted by it is a header; name it (delimiter)", line=1
+        )
+    if not found:
+        has = f"{candidates[0]!r}" if len(candidates) == 1 else "tab, semicolon or comma"
+        raise InputError(
+            f"the header has no {has} to part its columns; name the delimiter (delimiter)", line=rows[0][0]
+        )
     header = without_empty_end(_cells(rows[first], found))
     table = [(rows[first][0], header)]
+    if best < 1.0:
+        return table
+    if first + 1 == len(rows):
+        raise InputError("holds no row below its header", line=rows[first][0])
     for row in rows[first + 1 :]:
         cells = without_empty_end(_cells(row, found), len(header))
         if len(cells) != len(header):
-            raise InputError(f"row has {len(cells)} columns, expected {len(header)}", line=row[0])
+            raise InputError(f"row has {len(cells)} columns, expected {len(header)} (parted by {found!r})", line=row[0])
         table.append((row[0], cells))
     return table
 
@@ -387,35 +411,43 @@ def _cells(row: tuple[int, str], delimiter: str) -> list[str]:
         raise InputError(f"is no row of a table: {error}", line=row[0]) from error
 
 
-def without_unit_row(rows: Rows, units: Mapping[int, str], remedy: str) -> Rows:
+def without_unit_row(table: Rows, units: Mapping[int, str], remedy: str) -> Rows:
     """The rows below a header, less a first one of units: a unit of length, or nothing, in each column of `units`.
 
-    units: column -> the unit that is taken for it.
-    Raises InputError with the line, and the remedy, where it names another unit; and where no row is left.
+    units: column -> the unit that is taken for it, "" where it was stated.
+    Raises InputError with the line, and the remedy, where it or the end of a heading names another unit; and where no row is left.
     """
-    line, cells = rows[0]
-    named = {place: cells[place].strip("[]()").lower() for place in units if cells[place]}
+    (header_line, header), (line, cells), *below = table
+    headings = {place: found[1] for place in units if (found := _NAMED_UNIT.search(header[place]))}
+    _check_units(headings, units, remedy, header_line)
+    named = {place: cells[place].strip("[]()").lower().removeprefix("in ") for place in units if cells[place]}
     if not named or not all(unit in LENGTH_MM for unit in named.values()):
-        return rows
-    for place, unit in named.items():
-        if LENGTH_MM[unit] != LENGTH_MM[units[place].lower()]:
-            raise InputError(f"column {place + 1} is in {cells[place]}, taken is {units[place]}; {remedy}", line=line)
-    if len(rows) == 1:
+        return table[1:]
+    _check_units(named, units, remedy, line)
+    if not below:
         raise InputError("holds no row below that of the units", line=line)
-    return rows[1:]
+    return below
 
 
-def number(text: str, what: str, line: int, decimal: str = ".") -> float:
-    """A finite number from a file, with this decimal mark; U+2212 is a minus sign too. Raises InputError with the line.
+def _check_units(named: Mapping[int, str], units: Mapping[int, str], remedy: str, line: int) -> None:
+    for place, unit in named.items():
+        factor = LENGTH_MM.get(unit.lower())
+        if factor is not None and units[place] and factor != LENGTH_MM[units[place]]:
+            raise InputError(f"column {place + 1} is in {unit}, taken is {units[place]}; {remedy}", line=line)
+
+
+def number(text: str, what: str, line: int, decimal: str = "") -> float:
+    """A finite number from a file; U+2212 is a minus sign too. Raises InputError with the line.
+
+    decimal: the decimal mark, "" where the format has no choice and it is the point.
 
     The other mark is refused in a number, also between thousands: "1,234" is 1.234 or 1234.
     """
     value = _number(text, decimal)
     if value is None or not np.isfinite(value):
-        other = "," if decimal == "." else "."
-        hint = (
-            f"; with another decimal mark (decimal {other}) it is one" if value is None and _number(text, other) else ""
-        )
+        other = "." if decimal == "," else ","
+        is_one = decimal and value is None and _number(text, other) is not None
+        hint = f"; with another decimal mark (decimal {other}) it is one" if is_one else ""
         raise InputError(f"{what} is {shown(text)}, expected a number{hint}", line=line)
     return value
 

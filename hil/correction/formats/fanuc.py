@@ -244,8 +244,11 @@ def _points(first: int, values: Ints) -> list[str]:
 
 # -- reading -----------------------------------------------------------------------------------------------------------
 
-_FRAME = re.compile(r"%|[O:]\d+|M30|M0?2|M99|")
-_WORD = re.compile(r"([A-Z])\s*(-?\d{1,9}(?:\.\d{0,9})?)\s*")
+_FRAME = re.compile(r"%.*|[O:]\d+|<[^>]*>|(N\d+\s*)?(M30|M0?2|M99)|")
+_BEGIN = re.compile(r"(N\d+\s*)?(G90\s*)?G10\s*L5[02]")
+_WORD = re.compile(r"([A-Z])\s*([+-]?\d{1,9}(?:\.\d{0,9})?)\s*")
+_TAPE = re.compile(r"[\x00\x11-\x14]")
+"""Feed and control codes DC1 to DC4 that a control punches around the text."""
 _PARAMETERS = (1851, 3605, 3620, 3621, 3622, 3623, 3624, 3626, 3627)
 _TOTALS = 3602
 """Its bit 0: the points are totals from the reference, not increments (30i)."""
@@ -315,14 +318,14 @@ def load(text: str, settings: FanucSettings = FanucSettings()) -> TableSet:
     """
     reader = _Reader(settings)
     inside = ended = punched = False
-    for line_number, raw in numbered_lines(text):
+    for line_number, raw in numbered_lines(_TAPE.sub("", text)):
         before, closing, after = raw.rpartition(
             ")"
         )  # every remark ends in the first part, so that each is looked at once
         line = (re.sub(r"\([^)]*\)", "", before + closing) + after).rstrip(";").strip().upper()
-        if re.fullmatch(r"G10\s*L5[02]", line):
+        if _BEGIN.fullmatch(line):
             inside = True
-        elif line == "G11":
+        elif re.fullmatch(r"(N\d+\s*)?G11", line):
             inside, ended = False, True
         elif not inside and _FRAME.fullmatch(line):
             continue

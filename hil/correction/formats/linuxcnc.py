@@ -32,12 +32,13 @@ from hil.records.rows import UM_PER_MM
 MAX_POINTS = 256
 RESOLUTION_MM = 1e-9
 """Last decimal that is written, in the machine's unit."""
-UNITS_MM = {"mm": 1.0, "inch": 25.4}
+UNITS_MM = {"mm": 1.0, "metric": 1.0, "in": 25.4, "inch": 25.4, "imperial": 25.4}
+"""Words of LINEAR_UNITS -> mm."""
 
 
 @dataclass(frozen=True)
 class LinuxCncSettings:
-    """comp_type: COMP_FILE_TYPE, 0 (positions reached) or 1 (trims); unit: the machine's LINEAR_UNITS, "mm" or "inch".
+    """comp_type: COMP_FILE_TYPE, 0 (positions reached) or 1 (trims); unit: the machine's LINEAR_UNITS, a word of `UNITS_MM`.
 
     tolerance_um: largest deviation from tables that have more points than fit
     """
@@ -48,14 +49,14 @@ class LinuxCncSettings:
 
     def __post_init__(self) -> None:
         require(self.comp_type in (0, 1), f"COMP_FILE_TYPE is {self.comp_type}, expected 0 or 1")
-        require(self.unit in UNITS_MM, f"unit is {self.unit!r}, expected mm or inch")
+        require(self.unit.lower() in UNITS_MM, f"unit is {self.unit!r}, expected mm or inch")
         require(self.tolerance_um >= 0, f"tolerance is {self.tolerance_um} µm, expected 0 or more")
 
 
 def export(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) -> Export:
     """The COMP_FILE of these tables. Raises InputError for tables that it cannot hold."""
     wanted = both_directions(tables)
-    unit_mm = UNITS_MM[settings.unit]
+    unit_mm = UNITS_MM[settings.unit.lower()]
     table = rounded_nodes(thinned(wanted, MAX_POINTS, settings.tolerance_um), RESOLUTION_MM * unit_mm)
     lines = []
     for position, plus, minus in zip(table.position_mm, table.plus_um, table.minus_um, strict=True):
@@ -103,7 +104,7 @@ def load(text: str, settings: LinuxCncSettings = LinuxCncSettings()) -> TableSet
             raise InputError(f"is point {len(rows)}, LinuxCNC takes at most {MAX_POINTS}", line=line_number)
     if not rows:
         raise InputError("holds no triplet `nominal forward reverse`")
-    nominal, forward, reverse = np.array(rows).T * UNITS_MM[settings.unit]
+    nominal, forward, reverse = np.array(rows).T * UNITS_MM[settings.unit.lower()]
     if settings.comp_type == 0:
         forward, reverse = nominal - forward, nominal - reverse
     return table_set(nominal, forward * UM_PER_MM, reverse * UM_PER_MM)

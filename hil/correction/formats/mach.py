@@ -18,10 +18,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
+from drivers.files import without_empty_end
 from hil.correction.formats.common import (
     Export,
     both_directions,
     check_written,
+    delimited_rows,
     equidistant,
     number,
     numbered_lines,
@@ -36,12 +38,8 @@ from hil.records.rows import UM_PER_MM
 
 DECIMALS = 4
 """Of a mm: a tenth of a µm, as fine as the dialogs show."""
-_HEADS = {
-    "position_mm,error_positive_mm,error_negative_mm": 3,
-    "position_mm,error_mm": 2,
-    "commanded_mm,real_mm": 2,
-}
-_BACKLASH = re.compile(r"# backlash (\S+) mm$")
+_HEADS = ("position_mm,error_positive_mm,error_negative_mm", "position_mm,error_mm", "commanded_mm,real_mm")
+_BACKLASH = re.compile(r'"?# backlash (\S+) mm[",;\s]*')
 
 
 @dataclass(frozen=True)
@@ -119,22 +117,19 @@ def export(tables: TableSet, settings: Mach4Settings = Mach4Settings()) -> Expor
 
 def load(text: str, settings: Mach4Settings = Mach4Settings()) -> TableSet:
     """The correction in a table of `export`. Raises InputError with the line."""
-    backlash_um, head = 0.0, ""
-    rows: list[list[float]] = []
+    backlash_um = 0.0
     for line_number, line in numbered_lines(text):
-        if match := _BACKLASH.match(line):
+        if match := _BACKLASH.fullmatch(line):
             backlash_um = number(match[1], "the backlash", line_number) * UM_PER_MM
-        elif line in _HEADS:
-            head = line
-        elif line and not line.startswith("#"):
-            cells = line.split(",")
-            if not head or len(cells) != _HEADS[head]:
-                what = "row before the header" if not head else f"row has {len(cells)} columns, expected {_HEADS[head]}"
-                raise InputError(what, line=line_number)
-            rows.append([number(cell, "a value", line_number) for cell in cells])
-    if len(rows) < 2:
+        elif line.startswith(("# backlash", '"# backlash')):
+            raise InputError(f"is {line!r}, expected such as '# backlash 0.0030 mm'", line=line_number)
+    (header_line, header), *rows = delimited_rows(text, "", _share)
+    head = ",".join(header)
+    if head not in _HEADS:
+        raise InputError(f"is no header of a screw map, expected {' or '.join(_HEADS)}", line=header_line)
+    at, *values = np.array([[number(cell, "a value", line) for cell in cells] for line, cells in rows]).T
+    if len(at) < 2:
         raise InputError("holds no screw map: expected a header and at least two points")
-    at, *values = np.array(rows).T
     if np.any(np.diff(at) <= 0):
         raise InputError("positions do not ascend")
     if head.startswith("commanded"):
@@ -142,3 +137,7 @@ def load(text: str, settings: Mach4Settings = Mach4Settings()) -> TableSet:
     if len(values) == 2:
         return table_set(at, values[0] * UM_PER_MM, values[1] * UM_PER_MM)
     return one_directional_set(at, values[0] * UM_PER_MM, backlash_um)
+
+
+def _share(cells: list[str]) -> float:
+    return float(",".join(without_empty_end(cells)) in _HEADS)

@@ -59,27 +59,27 @@ class MeasuredCsvSettings:
                     column.unit.lower() in LENGTH_MM,
                     f"column {name}: unit is {column.unit!r}, expected such as mm or um",
                 )
-                require(
-                    name.endswith(("_mm", "_um")), f"column {name} is no length, it cannot have the unit {column.unit}"
-                )
-
-    def unit(self, name: str) -> str:
-        """Unit of a length in the file; "" for what is none."""
-        return self.column(name).unit or (name[-2:] if name.endswith(("_mm", "_um")) else "")
+                require(_is_length(name), f"column {name} is no length, it cannot have the unit {column.unit}")
 
     def column(self, name: str) -> Column:
         """The file's column for the record column `name`: as stated, else the one with that name."""
         return self.columns.get(name, Column(name))
 
 
+def _is_length(name: str) -> bool:
+    return name.endswith(("_mm", "_um"))
+
+
 def load(text: str, settings: MeasuredCsvSettings = MeasuredCsvSettings()) -> Records:
     """The rows in the order of the file. Lines that begin with # are left out. Raises InputError with the line."""
-    (header_line, header), *body = delimited_rows(
-        text, settings.delimiter, partial(_is_header, settings.column("target_mm").header)
-    )
+    headers = [settings.column(name).header for name in _needed(settings)]
+    table = delimited_rows(text, settings.delimiter, partial(_share, headers))
+    header_line, header = table[0]
     wanted = _wanted(header, settings, header_line)
-    units = {place: settings.unit(name) for name, place in wanted.items() if settings.unit(name)}
-    body = without_unit_row(body, units, "state it: --column NAME=HEADER:UNIT")
+    units = {
+        place: "" if settings.column(name).unit else name[-2:] for name, place in wanted.items() if _is_length(name)
+    }
+    body = without_unit_row(table, units, "state it: --column NAME=HEADER:UNIT")
     columns: dict[str, list[float]] = {name: [] for name in wanted}
     for line_number, cells in body:
         for name, index in wanted.items():
@@ -87,27 +87,30 @@ def load(text: str, settings: MeasuredCsvSettings = MeasuredCsvSettings()) -> Re
     return _records({name: np.array(values) for name, values in columns.items()}, settings, [line for line, _ in body])
 
 
-def _is_header(target: str, cells: list[str]) -> bool:
-    return target in cells
+def _needed(settings: MeasuredCsvSettings) -> list[str]:
+    """The record columns that the header must have."""
+    value = "error_um" if "error_um" in settings.columns and "measured_mm" not in settings.columns else "measured_mm"
+    order = () if settings.infer else ("run", "direction")
+    return list(dict.fromkeys(("target_mm", *order, value, *settings.columns)))
+
+
+def _share(headers: Sequence[str], cells: list[str]) -> float:
+    return sum(header in cells for header in headers) / len(headers)
 
 
 def _wanted(header: list[str], settings: MeasuredCsvSettings, line: int) -> dict[str, int]:
     wanted: dict[str, int] = {}
-    optional = {"run", "direction"} if settings.infer else set()
-    names = ["target_mm", "run", "direction"]
-    names.append(
-        "error_um" if "error_um" in settings.columns and "measured_mm" not in settings.columns else "measured_mm"
-    )
-    names += [name for name in settings.columns if name not in names]
-    for name in names:
+    needed = _needed(settings)
+    for name in dict.fromkeys((*needed, "run", "direction")):
         place = settings.column(name).header
         if header.count(place) > 1:
             raise InputError(f"header names {place!r} twice", line=line)
         if place in header:
             wanted[name] = header.index(place)
-        elif name not in optional or name in settings.columns:
-            hint = "; or let run and direction be inferred" if name in ("run", "direction") else ""
-            raise InputError(f"header lacks {place!r} for {name} (it has {', '.join(header)}){hint}", line=line)
+        elif name in needed:
+            hint = "; or let run and direction be inferred (infer)" if name in ("run", "direction") else ""
+            has = ", ".join(cell for cell in header if cell)
+            raise InputError(f"header lacks {place!r} for {name} (it is one line and has {has}){hint}", line=line)
     return wanted
 
 

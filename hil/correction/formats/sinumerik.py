@@ -45,12 +45,18 @@ _Value = TypeVar("_Value")
 DOWNWARDS = " ; reference point approached in -"
 """End of the comment with the backlash, where the reference point is approached in the - direction."""
 _FRAME = re.compile(
-    r"%.*|CHANDATA\(\d+\)|M17|M30|M0?[0-2]|RET|NEWCONF|\$(SN_CEC_TABLE|MA_CEC|MA_ENC_COMP)_ENABLE\[.*", re.IGNORECASE
+    r"%.*|CHANDATA\s*\(\s*\d+\s*\)|M17|M30|M0?[0-2]|RET|NEWCONF|STOPRE|\$[MS][NAC]_\w+\s*(\[.*?\])?\s*=.*",
+    re.IGNORECASE,
 )
-_BLOCK_NUMBER = re.compile(r"^\s*N\d+\s+", re.IGNORECASE)
-_EEC_VALUE = re.compile(r"\$AA_ENC_COMP\[\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
+"""Lines that change no table: frame, end, and machine and setting data."""
+_INCH = re.compile(r"\$M[NA]_\w*SCALING_SYSTEM\w*_METRIC\s*(\[.*?\])?\s*=\s*(0|FALSE)\s*", re.IGNORECASE)
+_BLOCK_NUMBER = re.compile(r"^\s*N\d+\s*", re.IGNORECASE)
+_TRUTH = {"true": "1", "false": "0"}
+_NEXT = re.compile(r"\s+(?=\$A)", re.IGNORECASE)
+"""Between the assignments of a block."""
+_EEC_VALUE = re.compile(r"\$AA_ENC_COMP\s*\[\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
 _EEC_KEY = re.compile(
-    r"\$AA_ENC_COMP_(STEP|MIN|MAX|IS_MODULO)\[\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE
+    r"\$AA_ENC_COMP_(STEP|MIN|MAX|IS_MODULO)\s*\[\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE
 )
 _BACKLASH = re.compile(r"\$MA_BACKLASH\[\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*([-+.\dEe]+)", re.IGNORECASE)
 _CEC_VALUE = re.compile(r"\$AN_CEC\s*\[\s*(\d{1,9})\s*[,.]\s*(\d{1,9})\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
@@ -71,16 +77,20 @@ class _Found:
     def key(self, name: str, default: str | None = None) -> float:
         if name not in self.keys and default is None:
             raise InputError(f"the table that begins here lacks {name}", line=self.line)
-        return number(self.keys.get(name, default or ""), name, self.line)
+        text = self.keys.get(name, default or "")
+        return number(_TRUTH.get(text.lower(), text), name, self.line)
 
     def curve(self) -> SingleTable:
         """The correction, µm, over position, mm. Raises InputError for values that do not fit MIN, MAX and STEP."""
         if self.key("IS_MODULO", "0"):
-            raise InputError("the table that begins here is of a modulo axis, expected a linear one", line=self.line)
+            what = f"the table that begins here is of a modulo axis (IS_MODULO {self.keys['IS_MODULO']}), expected a linear one"
+            raise InputError(what, line=self.line)
         low, high, step = self.key("MIN"), self.key("MAX"), self.key("STEP")
         if not (step > 0 and high > low):
             raise InputError(f"MIN {low:g}, MAX {high:g}, STEP {step:g} make no grid", line=self.line)
         points = np.floor((high - low) / step + 1e-6) + 1
+        if not any(value for point, value in self.values.items() if point >= points):  # room that is not used
+            self.values = {point: value for point, value in self.values.items() if point < points}
         if points != len(self.values) or sorted(self.values) != list(range(len(self.values))):
             raise InputError(
                 f"MIN, MAX and STEP make points 0 to {points - 1:.0f}, the table holds {len(self.values)}"
@@ -105,7 +115,13 @@ class _Reader:
             self.backlash_um = number(match[3], "MD32450", line_number) * UM_PER_MM
             self.downwards = raw.rstrip().endswith(DOWNWARDS.strip())
             return
-        line = _BLOCK_NUMBER.sub("", raw.partition(";")[0], count=1).strip()
+        whole = _BLOCK_NUMBER.sub("", raw.partition(";")[0], count=1).strip()
+        for line in _NEXT.split(whole):
+            self._assignment(line, line_number)
+
+    def _assignment(self, line: str, line_number: int) -> None:
+        if _INCH.fullmatch(line):
+            raise InputError(f"{line!r}: the tables are in inch, expected mm", line=line_number)
         if not line or _FRAME.fullmatch(line):
             return
         if match := _EEC_VALUE.match(line):
@@ -119,7 +135,9 @@ class _Reader:
         elif match := _CEC_KEY.match(line):
             _once(self._cec(match[2], line_number).keys, match[1].upper(), match[3], line_number)
         else:
-            raise InputError(f"{line!r} is no line of a compensation table", line=line_number)
+            raise InputError(
+                f"{line!r} is no line of a compensation table, expected such as $AN_CEC[0,1]=0.002", line=line_number
+            )
 
     def _eec(self, encoder: str, axis: str, line: int) -> _Found:
         return self.eec.setdefault((int(encoder), axis.upper()), _Found(line))
@@ -187,6 +205,10 @@ def _cec_set(found: dict[int, _Found]) -> TableSet:
             if sign in into:
                 raise InputError(f"the table that begins here is a second one for direction {sign:+d}", line=table.line)
             into[sign] = curve
+    if not own:
+        raise InputError(
+            f"corrects axis {cross_axis} by the position of {next(iter(inputs)).strip('()')} alone, expected one axis for itself"
+        )
     straightness = _both(cross) if cross else None
     return TableSet(TableMode.BIDIRECTIONAL, _both(own), straightness=straightness, straightness_axis=cross_axis)
 

@@ -106,7 +106,8 @@ class _Reader:
     def read(self, line: str, line_number: int) -> None:
         match = _ENTRY.match(line)
         if match is None:
-            raise InputError(f"{line!r} is no entry of a compensation value list", line=line_number)
+            nested = "; a comment within a comment ends both: take one out" if line.endswith(("*)", "*/")) else ""
+            raise InputError(f"{line!r} is no entry of a compensation value list{nested}", line=line_number)
         group, name, index, column, value = match.groups()
         if group == "kopf":
             return

@@ -42,14 +42,15 @@ class WideIsoSettings:
 
 def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     """The rows of all runs. Raises InputError with the line, also for an empty cell."""
-    (header_line, header), *body = delimited_rows(text, settings.delimiter, _is_header)
+    rows = delimited_rows(text, settings.delimiter, _share)
+    header_line, header = rows[0]
     columns = [_column(label, header_line) for label in header[1:]]
     if not columns:
         raise InputError("the header has no column of a run, expected such as 1+ or 1-", line=header_line)
     if len(set(columns)) != len(columns):
         raise InputError("the header names a run and direction twice", line=header_line)
     units = {0: "mm", **dict.fromkeys(range(1, len(header)), settings.cells.rpartition("_")[2])}
-    body = without_unit_row(body, units, "targets are in mm, and what the cells hold is stated (cells)")
+    body = without_unit_row(rows, units, "targets are in mm, and what the cells hold is stated (cells)")
     table: list[tuple[float, list[float]]] = []
     seen: set[float] = set()
     for line_number, cells in body:
@@ -100,9 +101,9 @@ def dump(records: Records, settings: WideIsoSettings = WideIsoSettings()) -> str
     return "\n".join(lines) + "\n"
 
 
-def _is_header(cells: list[str]) -> bool:
+def _share(cells: list[str]) -> float:
     labels = without_empty_end(cells)[1:]
-    return bool(labels) and all(_run_and_direction(label) for label in labels)
+    return sum(_run_and_direction(label) is not None for label in labels) / max(len(labels), 1)
 
 
 def _column(label: str, line: int) -> tuple[int, float]:

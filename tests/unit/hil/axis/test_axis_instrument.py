@@ -65,6 +65,10 @@ def test_a_display_s_keys_arrive(tmp_path: Path) -> None:
     display = axis_with(tmp_path / "a", SECTIONS["ascii"]).instrument.display
     assert display is not None
     assert (display.unit, display.decimals, display.request, display.parity) == ("in", 5, "1\r", "N")
+    for written, unit in (("MM", "mm"), ("Inch", "inch"), ("µM", "μm")):
+        other = axis_with(tmp_path / unit, SECTIONS["ascii"].replace('"in"', f'"{written}"')).instrument.display
+        assert other is not None
+        assert other.unit == unit
     config = axis_with(tmp_path / "n", SECTIONS["nd2xx"]).instrument
     assert config.display is not None
     assert (config.display.baud, config.display.data_bits, config.display.parity) == (19200, 7, "E")

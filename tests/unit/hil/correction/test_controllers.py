@@ -662,6 +662,12 @@ def test_twincat_comments_are_left_out_wherever_they_stand(comment: str) -> None
     assert caught.value.line == len((ACHSKW.format("", comment, "") + "x").splitlines())
 
 
+@pytest.mark.parametrize("comment", ["/* a /* b */ c\n*/", "(* (* b *)\n *)"])
+def test_a_twincat_comment_within_a_comment_is_refused_as_that(comment: str) -> None:
+    with pytest.raises(InputError, match=r"a comment within a comment ends both|'0 +c'"):
+        twincat.load(ACHSKW.format("", f" {comment}", ""))
+
+
 def test_a_twincat_comment_without_end_is_refused_with_its_line() -> None:
     with pytest.raises(InputError, match="does not end") as caught:
         twincat.load(ACHSKW.format(" /* a */", " /* a", ""))
@@ -691,12 +697,31 @@ $AN_CEC_DIRECTION[0]=0
         "$AN_CEC_INPUT_NCU[0]=2\nM00",
         "N100 $AN_CEC_OUTPUT_NCU[0]=2\nN110 $SN_CEC_TABLE_ENABLE[0]=1\nN120 NEWCONF\nN130 M2",
         "RET",
+        "N10$AN_CEC_IS_MODULO[0]=FALSE $AN_CEC_MULT_BY_TABLE[0]=0\nN20 STOPRE\nN30M17",
+        "$MN_MM_CEC_MAX_POINTS[0]=6\n$MA_CEC_SCALING_SYSTEM_METRIC[AX1] = 1\n$AN_CEC[0,3]=0\n$AN_CEC[0,4]=0.0\nM17",
     ],
 )
 def test_sinumerik_lines_that_change_nothing(more: str) -> None:
     found = both_directions(sinumerik.read(CEC + more))
     assert found.plus_um == pytest.approx([0.0, -2.0, -4.0])
     assert found.minus_um == pytest.approx([0.0, -2.0, -4.0])
+
+
+@pytest.mark.parametrize(
+    ("more", "says"),
+    [
+        ("$MA_CEC_SCALING_SYSTEM_METRIC[AX1]=0", "the tables are in inch"),
+        ("$AN_CEC[0,3]=0\n$AN_CEC[0,4]=0.001", "make points 0 to 2, the table holds 5"),
+        ("$AN_CEC_IS_MODULO[0]=-1", "of a modulo axis .IS_MODULO -1."),
+        ("$AN_CEC[0,3]=0,002", "value is '0,002', expected a number$"),
+        ("DEF REAL X", "no line of a compensation table, expected such as"),
+    ],
+)
+def test_sinumerik_lines_that_would_change_a_table_are_refused(more: str, says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        sinumerik.read(CEC + more)
+    with pytest.raises(InputError, match="corrects axis Z1 by the position of X1 alone"):
+        sinumerik.read(CEC.replace("OUTPUT_AXIS[0]=(X1)", "OUTPUT_AXIS[0]=(Z1)"))
 
 
 def test_a_sinumerik_table_of_another_ncu_is_refused() -> None:
@@ -752,6 +777,10 @@ N10004Q0P0
         PUNCHED.format(width="I1.968503937"),
         PUNCHED.format(width="P50.0"),
         PUNCHED.format(width="P50000").replace("Q1", "").replace("Q0", ""),  # 16i
+        PROGRAM.format(begin="N1 G90 G10 L52", width="50.0").replace("G11\nM30", "N2 G11\nN3 M30"),
+        PROGRAM.format(begin="G10 L52", width="50.0").replace("O9000", "<PITCH-X>"),
+        PUNCHED.format(width="M50.0").replace("P1\n", "P+1\n").replace("%\nN01", "%PARAMETERS\nN01"),
+        "\0\0\0\x12" + PUNCHED.format(width="M50.0") + "\x14\0\0",
         PUNCHED.format(width="M50.0").replace("Q1A1", "Q1L1A1").replace("N10", "N00000Q1L1P00000000\nN10", 1),
     ],
 )

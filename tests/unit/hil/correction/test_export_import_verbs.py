@@ -114,7 +114,7 @@ ASCII = WIDE.translate({0x2191: "+", 0x2193: "-", 0x2212: "-"})
         (WIDE.encode("utf-8-sig"), None),
         (WIDE.encode("utf-16"), None),
         (b"\xfe\xff" + WIDE.encode("utf-16-be"), None),
-        (ASCII.replace("target", "Weg in \N{MICRO SIGN}m").encode("latin-1"), None),
+        (ASCII.replace("target", "L\N{LATIN SMALL LETTER A WITH DIAERESIS}nge").encode("latin-1"), None),
         (ASCII.replace("\r\n", "\r").encode(), None),
         (WIDE.encode("utf-16-le"), "UTF-16 without its byte-order mark"),
         (WIDE.encode("utf-16")[:-1], "is not UTF-16 text"),
@@ -337,6 +337,33 @@ WRONG: dict[str, tuple[str, list[str], str]] = {
         "COMP_FILE_TYPE 1 but of the other one: give that (--type)",
     ),
     "linuxcnc trims": (TRIMS, ["linuxcnc", "--type", "0"], "COMP_FILE_TYPE 0 but of the other one: give that (--type)"),
+    "linuxcnc one reached": ("100 100.002 100.006\n", ["linuxcnc"], "give that (--type)"),
+    "csv other unit of targets": (
+        "run,direction,target_mm,measured_mm\n1,+,0,0\n1,+,.05,50.002\n1,+,.09,90.001\n",
+        ["csv"],
+        "with :UNIT where it is another (--column)",
+    ),
+    "csv short axis": (
+        "run,direction,target_mm,measured_mm\n1,+,0,.002\n1,+,.5,.003\n1,+,.9,.001\n",
+        ["csv"],
+        "error_um=HEADER",
+    ),
+    "csv directions": (
+        "run,direction,target_mm,measured_mm\n1,-,0,.002\n1,-,50,50\n1,+,50,50\n1,+,0,0\n",
+        ["csv"],
+        "exchange the directions",
+    ),
+    "lines directions": (
+        "+ 9 9.001\n+ 5 5.002\n+ 0 0\n- 0 .001\n- 5 5\n- 9 9\n",
+        ["lines", "--pattern", r"^(?P<direction>\S) (?P<target_mm>\S+) (?P<measured_mm>\S+)$"],
+        "exchange the directions",
+    ),
+    "csv heading": (
+        "run,direction,target_mm,Dev [mm]\n1,+,0,.002\n1,-,0,.001\n",
+        ["csv", "--column", "error_um=Dev [mm]"],
+        "column 4 is in mm, taken is um; state it: --column NAME=HEADER:UNIT",
+    ),
+    "iso-wide heading": ("Target (inch),1+,1-\n0,1,4\n50,2,4\n", ["iso-wide"], "column 1 is in inch, taken is mm"),
     "mach3 errors": ("commanded_mm,real_mm\n" + SCREW_MAP.format(0, 0.01, 0.02), ["mach3"], "position_mm,error_mm"),
     "mach4 positions": (
         "position_mm,error_mm\n" + SCREW_MAP.format(0, 50.01, 120.0),
@@ -414,7 +441,7 @@ def test_values_read_as_what_they_are_not_are_refused_with_the_option(
     path.write_text(text)
     assert main(["import", str(path), "--format", *options, "--out", str(out)]) == 2
     said = capsys.readouterr().err
-    assert said.startswith(f"hil: {path}: ")
+    assert said.startswith(f"hil: {path}:")
     assert said.count("\n") == 1
     assert remedy in said
     assert not out.exists()
@@ -495,3 +522,6 @@ def test_a_row_of_other_units_is_refused_with_the_option(tmp_path: Path, capsys:
     assert main(["import", str(path), "--format", "iso-wide", "--out", out]) == 2
     assert "column 2 is in mm, taken is um" in capsys.readouterr().err
     assert main(["import", str(path), "--format", "iso-wide", "--cells", "deviation_mm", "--out", out]) == 0
+    path.write_text("run,direction,target_mm,Dev [mm]\n,,in mm,mm\n1,+,0,.002\n1,-,0,.001\n")
+    assert main(["import", str(path), "--format", "csv", "--column", "error_um=Dev [mm]:mm", "--out", out]) == 0
+    assert read_csv(out).error_um == pytest.approx([2, 1])

@@ -108,6 +108,8 @@ HEAD = "position_mm,plus_um,minus_um\n"
         (HEAD + "0,1,\n", 2, "minus_um is ''"),
         (HEAD + "0,1_0,2\n", 2, "plus_um is '1_0'"),
         (HEAD + "0;1;2\n", 2, "row has 1 columns"),
+        (HEAD.replace(",", ";") + "0;1;2,5\n", 2, "minus_um is '2,5', expected a finite number with a decimal point"),
+        (HEAD + "0,0,0.002\n100,100.003,100.001\n200,199.998,200\n", 1, "plus_um repeats the positions in mm"),
         (HEAD + '"0,1,2\n', 2, "position_mm is '\"0'"),
         (HEAD + "0,1," + "9" * 200_000 + "\n", 2, "minus_um is '9999"),
         (HEAD + "10,1,2\n0,1,2\n", None, "strictly ascending"),
@@ -120,6 +122,17 @@ def test_what_is_no_table_is_refused_with_its_place(path: Path, text: str, line:
         read_manual_tables(path)
     assert (refused.value.path, refused.value.line) == (str(path), line)
     assert len(str(refused.value)) < 400
+
+
+@pytest.mark.parametrize("saved", ["{};", "sep=;\n{};", '"{}"', "{}\t\t"])
+def test_a_table_as_it_is_pasted_or_saved_by_a_spreadsheet(path: Path, saved: str) -> None:
+    path.write_text(HEAD + "0,1,2\n10,-1.5,2\n")
+    plain = read_manual_tables(path)
+    mark = "\t" if "\t" in saved else ";" if ";" in saved else '","'
+    rows = [row.replace(",", mark) for row in path.read_text().splitlines()]
+    begin, _, row = saved.rpartition("\n")
+    path.write_text("\n".join(filter(None, [begin, *map(row.format, rows)])))
+    assert read_manual_tables(path).digest() == plain.digest()
 
 
 def test_bytes_that_are_no_text(path: Path) -> None:

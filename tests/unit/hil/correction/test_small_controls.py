@@ -97,14 +97,25 @@ def test_screw_maps_by_hand() -> None:
         mach.export(tables([0, 2, 4], [-10, -2, -6], np.array([0.0, 100.0, 200.0])), mach.Mach3Settings())
 
 
+@pytest.mark.parametrize("delimiter", [";", ",", "\t"])
+def test_a_screw_map_is_read_as_a_spreadsheet_saves_it(delimiter: str) -> None:
+    """The backlash stands in a remark: it must not get lost on the way."""
+    rows = ["# start 0 mm", "# backlash 0.0030 mm", "position_mm,error_mm", "0,0", "100,0.002"]
+    saved = "\n".join(["sep=" + delimiter, *(f"{row},".replace(",", delimiter) for row in rows), delimiter * 2])
+    assert mach.load(saved).digest() == mach.load("\n".join(rows)).digest()
+    assert mach.load(saved).correction_um(0.0, -1) == pytest.approx(-3.0)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("1,2,3\n", "row before the header"),
+        ("1,2,3\n4,5,6\n", "is no header of a screw map"),
         ("position_mm,error_mm\n0,0\n", "at least two points"),
         ("position_mm,error_mm\n0,0\n0,1\n", "do not ascend"),
         ("position_mm,error_mm\n0,0,1\n", "3 columns"),
-        ("position_mm,error_mm\n0,x\n", "value"),
+        ("position_mm,error_mm\n0,x\n", "value is 'x'"),
+        ("# backlash 0,01 mm\nposition_mm,error_mm\n0,0\n9,0\n", "the backlash is '0,01'"),
+        ("# backlash: 0.01\nposition_mm,error_mm\n0,0\n9,0\n", "expected such as"),
     ],
 )
 def test_a_torn_screw_map_is_refused(text: str, said: str) -> None:
