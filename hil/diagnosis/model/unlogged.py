@@ -23,12 +23,12 @@ Floats = NDArray[np.float64]
 WAVES = np.arange(1.0, 9.0)
 """Half periods over the campaign of a course that drifts."""
 SET, DRIFTING = "set for each run", "drifting"
-OFFSET, ALONG, REVERSAL, REVERSAL_ALONG = "1", "u", "d", "du"
+OFFSET, ALONG, REVERSAL, REVERSAL_ALONG, ABOUT_A_POINT = "1", "u", "d", "du", "1 and u"
 
 
 @dataclass(frozen=True)
 class Way:
-    """How an effect acts through such a quantity: columns any of which would have shown it, its courses, and what multiplies them."""
+    """How an effect acts through such a quantity: columns that show all there is of it, its courses, and what multiplies them."""
 
     columns: tuple[str, ...]
     courses: tuple[str, ...]
@@ -37,25 +37,24 @@ class Way:
 
 WAYS: Mapping[str, Way] = MappingProxyType(
     {
-        "load_deflection": Way(("load_kg", "torque_percent"), (SET,), (OFFSET, ALONG, REVERSAL, REVERSAL_ALONG)),
+        "load_deflection": Way(("load_kg",), (SET,), (OFFSET, ALONG, REVERSAL, REVERSAL_ALONG)),
         "cross_axis": Way(("pos_",), (SET,), (OFFSET, ALONG)),
         "abbe": Way(("pitch_urad", "yaw_urad"), (SET, DRIFTING), (OFFSET,)),
         "velocity_lag": Way(("velocity_mm_s",), (SET,), (REVERSAL,)),
-        "thermal_expansion": Way(("temp_",), (DRIFTING,), (ALONG,)),
+        "thermal_expansion": Way(("temp_",), (DRIFTING,), (ALONG, ABOUT_A_POINT)),
         "thermal_drift": Way(("temp_",), (DRIFTING,), (OFFSET,)),
-        "air_index": Way(("air_temp_c", "air_pressure_hpa"), (DRIFTING,), (ALONG,)),
+        "air_index": Way(("air_temp_c", "air_pressure_hpa"), (DRIFTING,), (ALONG, ABOUT_A_POINT)),
         "dead_path": Way(("air_temp_c", "air_pressure_hpa"), (DRIFTING,), (OFFSET,)),
     }
 )
 
 
-def is_recorded(way: Way, recorded: Collection[str]) -> bool:
-    """Whether a column would have shown it; of another axis any."""
-    return any(
-        (column == "pos_" and OTHER_AXIS.fullmatch(name)) or (column != "pos_" and name.startswith(column))
-        for column in way.columns
-        for name in recorded
-    )
+def absent(way: Way, recorded: Collection[str]) -> tuple[str, ...]:
+    """Those of its columns that were not recorded; of thermometers and other axes any one is enough."""
+    known = {
+        "temp_" if name.startswith("temp_") else "pos_" if OTHER_AXIS.fullmatch(name) else name for name in recorded
+    }
+    return tuple(column for column in way.columns if column not in known)
 
 
 def courses(campaign: CampaignRows) -> dict[str, Floats]:
@@ -67,27 +66,27 @@ def courses(campaign: CampaignRows) -> dict[str, Floats]:
 
 
 def factors(campaign: CampaignRows) -> dict[str, Floats]:
-    """What multiplies a course, (n,) each."""
+    """What multiplies a course, (n, m) each."""
     survey, d = campaign.survey, campaign.d
     u = (campaign.x - survey.centre_mm) / survey.half_span_mm
-    return {OFFSET: np.ones(len(u)), ALONG: u, REVERSAL: d, REVERSAL_ALONG: d * u}
+    one = np.ones(len(u))
+    each = {OFFSET: [one], ALONG: [u], REVERSAL: [d], REVERSAL_ALONG: [d * u], ABOUT_A_POINT: [one, u]}
+    return {name: np.column_stack(columns) for name, columns in each.items()}
 
 
-def unlogged(fit: Fit, recorded: Collection[str], able: Collection[str]) -> Iterator[tuple[str, float]]:
-    """By effect, the log evidence of the parts of a fit with it, acting through a quantity that was not recorded.
-
-    able: effects that recorded columns can show
-    """
+def unlogged(fit: Fit, recorded: Collection[str]) -> Iterator[tuple[str, float]]:
+    """By effect, the log evidence of the parts of a fit with it, acting through a quantity that was not recorded."""
     campaign = fit.rows.campaign
     course, factor = courses(campaign), factors(campaign)
     known: dict[tuple[str, str], float] = {}
     for effect, way in WAYS.items():
-        if effect in able or is_recorded(way, recorded):
+        if not absent(way, recorded):
             continue
         kinds = [(c, f) for c in way.courses for f in way.factors if campaign.runs > 2 or c != SET]
         for kind in kinds:
             if kind not in known:
-                known[kind] = fit.random_gain(course[kind[0]] * factor[kind[1]][:, None])[0]
+                columns = course[kind[0]][:, :, None] * factor[kind[1]][:, None, :]
+                known[kind] = fit.random_gain(columns.reshape(len(columns), -1))[0]
         if kinds:
             yield effect, fit.log_p + max(known[kind] for kind in kinds) - math.log(len(kinds)) - USUAL.unlogged
 
@@ -101,6 +100,6 @@ def share_of(odds: Mapping[str, float]) -> dict[str, float]:
 
 
 def columns_of(effect: str, recorded: Collection[str]) -> Sequence[str]:
-    """Columns that would show an effect, none of which was recorded."""
-    way = WAYS.get(effect)
-    return () if way is None or is_recorded(way, recorded) else tuple(c for c in way.columns if not c.endswith("_"))
+    """Columns that would show an effect and were not recorded."""
+    whole = {"temp_": "temp_screw_c", "pos_": "pos_y_mm"}
+    return tuple(whole.get(name, name) for name in absent(WAYS[effect], recorded)) if effect in WAYS else ()

@@ -99,8 +99,7 @@ class Verdict:
         odds = {part.name: self.search.scored(self.parts)[0].log_p}
         for one in self.search.alternatives(others):
             odds[one.part.name] = max(odds.get(one.part.name, -1e300), one.log_p)
-        able = {grid.effect.id for grid in self.search.catalogue.grids}
-        for name, log_p in unlogged(self.search.fit(others), self.recorded, able):
+        for name, log_p in unlogged(self.search.fit(others), self.recorded):
             odds[name] = max(odds.get(name, -1e300), log_p)
         return odds
 
