@@ -17,7 +17,7 @@ from hil.diagnosis.model.candidates import Catalogue, effects_beside
 from hil.diagnosis.model.evidence import Fit, Noise, Part, score
 from hil.diagnosis.model.force import Folds, Force, compensated, improves
 from hil.diagnosis.model.intervals import terms_of
-from hil.diagnosis.model.offer import offered
+from hil.diagnosis.model.offer import Offer
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Given, Rows, row_scale
@@ -206,7 +206,7 @@ class Case:
             recommended=after.rms_um < alone.rms_um,
             notes=(*self._notes(after, alone), *force.notes),
         )
-        return offered(found, self.search, force.force, self.rows, self.folds)
+        return Offer(self.search, force.force, self.rows, self.folds).beside(found)
 
     def _blind(self) -> Iterator[Blind]:
         beside = self.search.catalogue.beside

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,52 +33,54 @@ def smooth_part(part: Part, search: Search) -> Part | None:
     )
 
 
-def offered(diagnosis: Diagnosis, search: Search, force: Force, rows: AllRows, folds: Folds) -> Diagnosis:
-    """The diagnosis with this correction beside it, and a note where something is unexplained. force: what is corrected without it."""
-    if not diagnosis.unexplained:
-        return diagnosis
-    left = [part for part in force.fit.parts if part.is_remainder]
-    smooth = [smooth_part(part, search) for part in left]
-    if not smooth or any(one is None for one in smooth):
+@dataclass(frozen=True)
+class Offer:
+    """What a correction without a cause is made of: the search, what is corrected without it, and the rows to leave out."""
+
+    search: Search
+    force: Force
+    rows: AllRows
+    folds: Folds
+
+    def beside(self, diagnosis: Diagnosis) -> Diagnosis:
+        """The diagnosis with this correction beside it, and a note where something is unexplained."""
+        left = [part for part in self.force.fit.parts if part.is_remainder]
+        if not diagnosis.unexplained:
+            return diagnosis
+        smooth = [one for part in left if (one := smooth_part(part, self.search)) is not None]
+        if len(smooth) == len(left) > 0:
+            return self._with(diagnosis, smooth)
         unknown = sorted({name for part in left for name in part.names} & AFTERWARDS)
-        why = (
-            f"{' and '.join(unknown)} is not known when a command is issued"
-            if unknown
-            else "is no smooth function of its columns"
+        if unknown:
+            return _refused(diagnosis, f"{' and '.join(unknown)} is not known when a command is issued")
+        return _refused(diagnosis, "what is left is no smooth function of its columns")
+
+    def _with(self, diagnosis: Diagnosis, smooth: Sequence[Part]) -> Diagnosis:
+        fit = self.search.fit([*(part for part in self.force.fit.parts if not part.is_remainder), *smooth])
+        terms = terms_of(fit)
+        fitted = {id(part): terms[id(part)] for part in smooth}
+        live = {key: term for key, term in terms.items() if key in self.force.live}
+        taken, whole = Force(fit, {**live, **fitted}), Force(fit, terms)
+        left_um = taken.left_out_um(self.rows, self.folds)
+        before, after = diagnosis.after, Figures.of(left_um)
+        if not improves(diagnosis.after_um, left_um, self.folds.of_all) or after.rms_um >= before.rms_um:
+            why = f"on runs left out it does not help for sure ({after.rms_um:.3g} µm RMS, without it {before.rms_um:.3g})"
+            return _refused(diagnosis, why)
+        along = "; ".join(" × ".join(part.names) for part in smooth)
+        worth = f"on runs left out it leaves {after.rms_um:.3g} µm RMS instead of {before.rms_um:.3g}"
+        told = [f"{OPTION}: {term.effect.explain(term)}" for term in fitted.values()]
+        model = taken.model()
+        other = replace(
+            diagnosis,
+            extended=replace(model, about={**model.about, "non_parametric": f"follows {along}; {CAUSE_UNKNOWN}"}),
+            after_um=left_um,
+            setup_um=whole.left_out_um(self.rows, self.folds),
+            residual_um=self.rows.error_um - whole.model().error_um(self.rows.columns),
+            recommended=after.rms_um < Figures.of(self.rows.error_um).rms_um,
+            notes=(*diagnosis.notes, *told, f"{OPTION}: {worth}"),
         )
-        return _refused(diagnosis, why if unknown else f"what is left {why}")
-    return _with(diagnosis, [one for one in smooth if one is not None], search, force=force, rows=rows, folds=folds)
-
-
-def _with(
-    diagnosis: Diagnosis, smooth: Sequence[Part], search: Search, *, force: Force, rows: AllRows, folds: Folds
-) -> Diagnosis:
-    fit = search.fit([*(part for part in force.fit.parts if not part.is_remainder), *smooth])
-    terms = terms_of(fit)
-    fitted = {id(part): terms[id(part)] for part in smooth}
-    taken = Force(fit, {**{key: term for key, term in terms.items() if key in force.live}, **fitted})
-    left_um = taken.left_out_um(rows, folds)
-    before, after = diagnosis.after, Figures.of(left_um)
-    if not improves(diagnosis.after_um, left_um, folds.of_all) or after.rms_um >= before.rms_um:
-        why = f"on runs left out it does not help for sure ({after.rms_um:.3g} µm RMS, without it {before.rms_um:.3g})"
-        return _refused(diagnosis, why)
-    along = "; ".join(" × ".join(part.names) for part in smooth)
-    worth = f"on runs left out it leaves {after.rms_um:.3g} µm RMS instead of {before.rms_um:.3g}"
-    model = taken.model()
-    extended = replace(model, about={**model.about, "non_parametric": f"follows {along}; {CAUSE_UNKNOWN}"})
-    told = [f"{OPTION}: {term.effect.explain(term)}" for term in fitted.values()]
-    everything = Force(fit, terms).model()
-    other = replace(
-        diagnosis,
-        extended=extended,
-        after_um=left_um,
-        setup_um=Force(fit, terms).left_out_um(rows, folds),
-        residual_um=rows.error_um - everything.error_um(rows.columns),
-        recommended=after.rms_um < Figures.of(rows.error_um).rms_um,
-        notes=(*diagnosis.notes, *told, f"{OPTION}: {worth}"),
-    )
-    note = f"{OPTION} adds a smooth function of {along} to the extended model, though {CAUSE_UNKNOWN}: {worth}"
-    return replace(diagnosis, non_parametric=other, notes=(*diagnosis.notes, note))
+        note = f"{OPTION} adds a smooth function of {along} to the extended model, though {CAUSE_UNKNOWN}: {worth}"
+        return replace(diagnosis, non_parametric=other, notes=(*diagnosis.notes, note))
 
 
 def _refused(diagnosis: Diagnosis, why: str) -> Diagnosis:

@@ -172,10 +172,10 @@ class Search:
         return 2.0 * USUAL.richer if one.effect.implausible(term) else 0.0
 
     def rests_on_few(self, parts: Sequence[Part], one: Alternative) -> bool:
-        """Whether nothing is left of an effect without the few rows to which it gives most, and it is no larger there than the noise's
+        """Whether nothing is left of a part without the few rows to which it gives most, and it is no larger there than the noise's
         outliers are."""
         part = one.part
-        if part.of is None or part.of.effect.once or not part.free.shape[1]:
+        if part.of is not None and (part.of.effect.once or not part.free.shape[1]):
             return False
         fit = Fit(self.rows, [*parts, part], one.noise)
         course = fit.course_um(part)
@@ -184,7 +184,9 @@ class Search:
             return False
         scale = self.rows.scale.copy()
         scale[np.argsort(-away)[: max(3, math.ceil(USUAL.few * len(course)))]] *= 1e3
-        return Fit(self.rows.with_scale(scale), parts, one.noise).gain(part.free) + part.log_prior <= 0.0
+        beside = Fit(self.rows.with_scale(scale), parts, one.noise)
+        gain = beside.random_gain(part.random)[0] if part.is_remainder else beside.gain(part.free)
+        return gain + part.log_prior <= 0.0
 
     def run(self, parts: Sequence[Part] = ()) -> Found:
         """From some parts on, until nothing is worth adding."""

@@ -46,6 +46,7 @@ CASES: dict[str, Errors] = {
     "load zone": lambda c: 0.02 * c["load_kg"] * np.exp(-0.5 * ((x(c) - 150.0) / 20.0) ** 2),
     "state along": lambda c: switched(c, 170.0) * np.sin(x(c) / 40.0),
     "one run": lambda c: 1.5 * (c["run"] == 3) * np.sin(x(c) / 30.0),
+    "hit rows": lambda c: 5.0 * (np.random.default_rng(3).random(len(x(c))) < 0.1) * np.cos(x(c) / 60.0),
     "tenth row": lambda c: 4.0 * tenth(c) * np.sin(x(c) / 60.0),
     "product": lambda c: 0.03 * c["load_kg"] * (x(c) / 150.0 - 1.0) ** 2,
     "relay": lambda c: 2.0 * (c["temp_screw_c"] > 21.8),
@@ -66,6 +67,16 @@ def test_noise_is_met_with_silence(seed: int) -> None:
     assert not found.findings
     assert not found.unexplained
     assert found.noise.within_run_um == pytest.approx(0.3, rel=0.2)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_rows_far_off_that_follow_nothing_are_noise(seed: int) -> None:
+    """One row in ten with five times the spread."""
+    rng = np.random.default_rng(seed)
+    noise_um = 0.3 * rng.normal(size=144) * np.where(rng.random(144) < 0.1, 5.0, 1.0)
+    found = diagnosing.diagnose(campaign(wavy, noise_um=noise_um, sensors=sensors, seed=seed), None, ALL, 0)
+    assert not found.findings
+    assert not found.unexplained
 
 
 @pytest.mark.parametrize(
@@ -95,6 +106,7 @@ def test_a_cause_of_the_catalogue_is_named_with_its_parameter(
         ("state along", {"target_mm", "time_s"}),
         ("one run", {"run", "target_mm"}),
         ("tenth row", {"row_order", "target_mm"}),
+        ("hit rows", {"row_order", "target_mm"}),
     ],
 )
 def test_a_cause_outside_the_catalogue_is_left_with_its_columns(case: str, columns: set[str]) -> None:
