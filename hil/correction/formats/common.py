@@ -370,7 +370,7 @@ def delimited_rows(text: str, delimiter: str, share: Callable[[list[str]], float
     lines = list(enumerate(_LINE_END.split(text), start=1))  # not stripped: a row may begin with empty cells
     found_mark = SEPARATOR.fullmatch(lines[0][1].strip(" "))
     named = "" if found_mark is None else found_mark[1]
-    rows = [(number, line) for number, line in lines if is_row(line)]
+    rows = [(number, line) for number, line in _joined(lines) if is_row(line)]
     if len(rows) < 2:
         raise InputError("holds no table, expected a header and at least one row")
     candidates = (delimiter or named,) if delimiter or named else DELIMITERS
@@ -402,6 +402,26 @@ def delimited_rows(text: str, delimiter: str, share: Callable[[list[str]], float
             raise InputError(f"row has {len(cells)} columns, expected {len(header)} (parted by {found!r})", line=row[0])
         table.append((row[0], cells))
     return table
+
+
+_OPEN = re.compile(r'(?:^|[\t;,|]) *"[^"]*$')
+"""A line that ends within a cell in quotation marks."""
+_MOST_LINES = 5
+"""Of a cell, whose lines a heading of a spreadsheet has."""
+
+
+def _joined(lines: list[tuple[int, str]]) -> Iterator[tuple[int, str]]:
+    """The lines, those of one cell in quotation marks joined by a blank; the number is that of the first."""
+    at = 0
+    while at < len(lines):
+        number, line = lines[at]
+        end = at + 1
+        while _OPEN.search(line) and end < min(len(lines), at + _MOST_LINES):
+            line, end = f"{line} {lines[end][1]}", end + 1
+        if _OPEN.search(line):
+            line, end = lines[at][1], at + 1
+        yield number, line
+        at = end
 
 
 def _cells(row: tuple[int, str], delimiter: str) -> list[str]:

@@ -363,6 +363,11 @@ WRONG: dict[str, tuple[str, list[str], str]] = {
         ["csv", "--column", "error_um=Dev [mm]"],
         "column 4 is in mm, taken is um; state it: --column NAME=HEADER:UNIT",
     ),
+    "csv heading of two lines": (
+        'run,direction,target_mm,"Dev\n(mm)"\n1,+,0,.002\n1,-,0,.001\n',
+        ["csv", "--column", "error_um=Dev (mm)"],
+        ":1: column 4 is in mm, taken is um",
+    ),
     "iso-wide heading": ("Target (inch),1+,1-\n0,1,4\n50,2,4\n", ["iso-wide"], "column 1 is in inch, taken is mm"),
     "mach3 errors": ("commanded_mm,real_mm\n" + SCREW_MAP.format(0, 0.01, 0.02), ["mach3"], "position_mm,error_mm"),
     "mach4 positions": (
@@ -481,6 +486,13 @@ HEAD, ROWS = "Lauf§Richtung§Soll§Ist", ["1§+§0,0§0,002", "1§-§0,0§0,004
         [HEAD, "-§§[MM]§(mm)", *ROWS],
         ["Messung der X-Achse", "Datum§12.03.2024", "", HEAD, *ROWS],
         ["sep=§", "Messung§X-Achse", HEAD, "§§mm§mm", *ROWS, "§§§§"],
+        [
+            '"Messung',
+            'der Achse"§"in mm"',
+            HEAD.replace("Lauf", '"Lauf"') + '§"Bemerkung\n(frei)"',
+            *(row + "§" for row in ROWS),
+        ],
+        ['L = 10"§"offen', HEAD, *ROWS],
     ],
 )
 def test_what_a_spreadsheet_writes_round_a_table_is_no_row(delimiter: str, lines: list[str], tmp_path: Path) -> None:
