@@ -14,6 +14,9 @@ AGREED_S = 0.02
 """The same where a drive without an arrival status shows a velocity of 0, s: its value may be stuck."""
 STILL_MM = 0.005
 """Window of the positions of an axis at rest, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
+ARRIVED_WITHIN_MM = 0.1
+"""An axis farther from its target by its motor encoder, mm, has not arrived, however wide its drive's window is: below any distance
+to be measured."""
 ARRIVED_COUNTS = 2
 """Smallest window of an arrival that the drive does not show itself, counts: an axis at rest may stand between two."""
 STILL_MM_S = 0.5
@@ -27,7 +30,7 @@ FROZEN_S = 1.0
 def arrived_within_counts(counts_per_mm: float, window_counts: float = 0.0) -> float:
     """Largest distance from the target, counts, at which an axis at rest has arrived, where its drive does not show it. window_counts:
     of the drive, 0 for none."""
-    return max(window_counts, ARRIVED_COUNTS, STILL_MM * counts_per_mm)
+    return max(min(window_counts, ARRIVED_WITHIN_MM * counts_per_mm), ARRIVED_COUNTS, STILL_MM * counts_per_mm)
 
 
 class FrozenValues:

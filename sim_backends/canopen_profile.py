@@ -414,7 +414,8 @@ class DriveProfile:
             target = self._od.number(0x607A)
             if word & RELATIVE:
                 target += self._setpoint.target if self._setpoint else self._servo.position_demand_counts
-            velocity = min(self._od.number(0x6081), self._od.number(0x607F))
+            velocity = self._od.number(0x6081)
+            velocity = min(velocity, self._od.number(0x607F) or velocity)
             setpoint = _Setpoint(self._clamp(target), velocity, self._od.number(0x6083))
             self._acknowledged = True
             if word & IMMEDIATELY or self._servo.target_reached:

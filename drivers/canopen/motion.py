@@ -312,7 +312,7 @@ class ProfileMotion:
         self._hand_over(way)
         self._going = (target,)
         self._judge_limit(self._sampler.statusword)
-        if distance > self._window:
+        if distance > self._near_counts():
             # a drive may show the arrival of the move before for a cycle or two; one that shows it all the time is not believed
             fell = self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
             self._unshown = None if fell else target
@@ -441,10 +441,12 @@ class ProfileMotion:
         target = self._unshown if streamed is None else streamed.target
         if target is None:
             return None
-        near = arrived_within_counts(self._units.scaling.counts_per_load_mm, self._window)
         speed = self._units.mm_s(self._sampler.values.get(objects.VELOCITY_ACTUAL, 0))
         at_rest = (streamed is None or streamed.fed) and Standstill.is_slow(speed)
-        return at_rest and abs(self._sampler.position_counts - target) <= near
+        return at_rest and abs(self._sampler.position_counts - target) <= self._near_counts()
+
+    def _near_counts(self) -> float:
+        return arrived_within_counts(self._units.scaling.counts_per_load_mm, self._window)
 
     def _feed(self, status: int) -> None:
         """The next set-point of a move without profile position. A stop or a halt ends it."""
@@ -488,7 +490,8 @@ class ProfileMotion:
         if not (status & Status.INTERNAL_LIMIT and self._going) or self._judged:
             return
         self._judged, read = True, self._sdo.read_if_shown
-        low, high = read(objects.SOFTWARE_LIMIT_MIN, 0), read(objects.SOFTWARE_LIMIT_MAX, 0)
+        most = cia402_words.LARGEST_POSITION
+        low, high = read(objects.SOFTWARE_LIMIT_MIN, -most - 1), read(objects.SOFTWARE_LIMIT_MAX, most)
         if cia402_words.software_limits(low, high) is not None:
             home = read(objects.HOME_OFFSET, 0)  # the standard shifts the limits by it, not every drive does
             for target in self._going:

@@ -145,7 +145,7 @@ class StoppableDrive(ServoDrive):
             self.sampler.heard_ns,
             decode_state(status),
             scaling.load_mm(self.sampler.position_counts),
-            reached and not self.homing.under_way,
+            reached and not self.homing.under_way and decode_state(status) is DriveState.ENABLED,
             None if velocity is None else self.units.load_mm_s(velocity),
             None if torque is None else scaling.direction * torque / 10.0,
             None if error is None else scaling.load_mm(error),

@@ -124,6 +124,7 @@ class MoveMap:
     """A profile move. `window`, in the target register's unit: `reached` counts only this close to the target. Raises SchemaError.
 
     relative: the target is written as its distance from where the axis stands; the drive knows no other kind.
+    limited: the drive limits the move by a limit of its own, of position, velocity or current
     """
 
     handshake: Handshake
@@ -139,6 +140,7 @@ class MoveMap:
     release: Writes = ()
     released: Conditions = ()
     reached: Conditions = ()
+    limited: Conditions = ()
     window: Positive | None = None
     timeout_s: Positive = 0.5
     relative: bool = False
@@ -337,7 +339,8 @@ class DriveMap:
     def sampled(self) -> tuple[str, ...]:
         """Names of all registers that one sample needs."""
         names = [self.position, self.velocity, self.torque, self.following_error, self.fault_code]
-        conditions = [rule.condition for rule in self.states] + list(self.move.reached) + list(self.move.mode_shown)
+        conditions = [rule.condition for rule in self.states]
+        conditions += [*self.move.reached, *self.move.limited, *self.move.mode_shown]
         if self.homing is not None:
             conditions += [*self.homing.applies, *self.homing.attained, *self.homing.failed]
         names += [condition.register for condition in conditions]
@@ -364,7 +367,7 @@ class DriveMap:
         powered = [*self.enable, *self.disable]
         move = self.move
         moved = [self.position, self.velocity, move.target, move.velocity, move.acceleration, move.deceleration]
-        asked = [*move.idle, *move.accepted, *move.released, *move.reached, *move.mode_shown]
+        asked = [*move.idle, *move.accepted, *move.released, *move.reached, *move.limited, *move.mode_shown]
         orders = [*move.mode, *move.start, *move.release]
         homing: list[str | None] = []
         if self.homing is not None:

@@ -38,7 +38,18 @@ from drivers.errors import (
 )
 from drivers.modbus.plan import Span, Table, WireCost, silent_interval_s
 from drivers.modbus.way_out import WayOut
-from drivers.modbus.wire import ACKNOWLEDGE, BUSY, Endpoint, Function, PymodbusWire, Request, RtuEndpoint, Wire
+from drivers.modbus.wire import (
+    ACKNOWLEDGE,
+    BUSY,
+    NO_PATH,
+    NO_TARGET,
+    Endpoint,
+    Function,
+    PymodbusWire,
+    Request,
+    RtuEndpoint,
+    Wire,
+)
 
 _SILENCE_S = 0.01  # real time without a byte after which a serial line counts as quiet, s
 
@@ -47,8 +58,9 @@ _SILENCE_S = 0.01  # real time without a byte after which a serial line counts a
 class LinkPolicy:
     """Time-outs and repeats of a link. Times in s; `*_retries` are repeats after the first attempt.
 
-    busy_s: longest time that a busy unit is asked again: as long as a change of state may take by most register maps, and about as
-    long as a silent unit is waited for on TCP. While a unit is shut down it is the time that is left for that.
+    busy_s: longest time that a busy unit, or one that a gateway does not reach, is asked again: as long as a change of state may
+    take by most register maps, and about as long as a silent unit is waited for on TCP. While a unit is shut down it is the time
+    that is left for that.
     quiet_s: silence on a serial line after a time-out. turn_s: longest wait for the line while other users have it, in real
     time; by default the time of three writes that are read back, with 0.5 s for each attempt.
     """
@@ -313,12 +325,19 @@ class ModbusLink:
             try:
                 values = self._exchange(unit, state, request, urgent=urgent)
             except AbortError as error:
-                self._heard(state)
-                if error.code != BUSY and (error.code != ACKNOWLEDGE or request.function.is_write):
-                    raise
-                if busy.expired:
-                    raise AbortError(f"{error}, asked again for {busy_s:.3g} s", error.code) from error
-                self.clock.sleep_s(self.policy.busy_pause_s)
+                by_gateway = error.code in (NO_PATH, NO_TARGET)
+                if not by_gateway:
+                    self._heard(state)
+                again = _is_asked_again(error.code, request, repeats)
+                if again and not busy.expired:
+                    self.clock.sleep_s(self.policy.busy_pause_s)
+                    continue
+                text = f"{error}, asked again for {busy_s:.3g} s" if again and busy_s else f"{error}"
+                if not by_gateway:
+                    raise AbortError(text, error.code) from error
+                if blamed:
+                    self._missed(state)
+                raise NoAnswerError(text) from error
             except (TransportError, ProtocolError) as error:
                 if tried >= self._repeats(unit, repeats):
                     if blamed and isinstance(error, NoAnswerError) and not isinstance(error, OtherAnswerError):
@@ -443,6 +462,14 @@ class ModbusLink:
     def _count(self, **more: int) -> None:
         now = self.statistics
         self.statistics = replace(now, **{name: getattr(now, name) + count for name, count in more.items()})
+
+
+def _is_asked_again(code: int, request: Request, repeats: int) -> bool:
+    """Whether an exception is answered by the same request: one that was not carried out, or may be carried out twice."""
+    if code in (BUSY, NO_PATH):
+        return True
+    twice = not request.function.is_write or (code == NO_TARGET and repeats > 0)
+    return twice and code in (ACKNOWLEDGE, NO_TARGET)
 
 
 def _other_length(request: Request) -> Request:

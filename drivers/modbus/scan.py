@@ -29,8 +29,6 @@ from drivers.modbus.register_access import RegisterAccess
 POLICY = LinkPolicy(read_retries=0, busy_s=0.0, quiet_s=0.02)
 """Policy of a link for scanning: each unit is asked once; one that is busy is there."""
 
-_GATEWAY = (10, 11)  # exceptions that a gateway answers for a unit that does not
-
 
 @dataclass(frozen=True)
 class FoundUnit:
@@ -86,7 +84,7 @@ def _ask(link: ModbusLink, unit: int) -> str | None:
     try:
         link.read(unit, Table.HOLDING, Span(0, 1), urgent=True)
     except AbortError as error:
-        return None if error.code in _GATEWAY else str(error).rpartition(": ")[2]
+        return str(error).rpartition(": ")[2]
     except ProtocolError as error:
         return f"gives an invalid reply: {error}"
     except OtherAnswerError:

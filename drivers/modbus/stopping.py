@@ -22,7 +22,7 @@ from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.drive_values import DriveValues, Unit
 from drivers.modbus.homing import Homing
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.orders import Orders
+from drivers.modbus.orders import Orders, hold
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
 from drivers.modbus.register_access import RegisterAccess
@@ -130,12 +130,13 @@ class StoppableDrive(ServoDrive):
             time_ns=time_ns,
             state=state,
             position_load_mm=position_mm,
-            target_reached=self.moves.reached(raw) and not self.homing.under_way,
+            target_reached=state is DriveState.ENABLED and self.moves.reached(raw) and not self.homing.under_way,
             velocity_mm_s=velocity_mm_s,
             torque_percent=values.torque_percent(raw),
             following_error_mm=values.load_mm(raw, self.map.following_error),
             homed=self.homing.homed,
             fault_code=values.fault_code(raw),
+            limited=hold(self.map.move.limited, raw) if self.map.move.limited else None,
             since_ns=asked_ns,
         )
 

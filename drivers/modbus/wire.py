@@ -93,7 +93,8 @@ EXCEPTION_NAMES = {
 }
 ACKNOWLEDGE = 5
 BUSY = 6
-_GATEWAY_NO_RESPONSE = 11
+NO_PATH, NO_TARGET = 10, 11
+"""Exceptions that a gateway answers in place of the unit: it did not pass the request on, or passed it on and got no answer."""
 
 
 @dataclass(frozen=True)
@@ -430,12 +431,11 @@ def _answered_as(other: int, unit: int, what: str) -> OtherAnswerError:
     return OtherAnswerError(f"{what}: answered as unit {other}, asked was unit {unit}: try unit = {other}", other)
 
 
-def _refusal(what: str, request: Request, reply: Any) -> AbortError | NoAnswerError | ProtocolError:
+def _refusal(what: str, request: Request, reply: Any) -> AbortError | ProtocolError:
     if reply.function_code & 0x7F != request.function:
         return ProtocolError(f"{what}: exception reply to function {reply.function_code & 0x7F}")
     code = int(reply.exception_code)
-    text = f"{what}: {EXCEPTION_NAMES.get(code, 'unknown exception')} (exception {code})"
-    return NoAnswerError(text) if code == _GATEWAY_NO_RESPONSE else AbortError(text, code)
+    return AbortError(f"{what}: {EXCEPTION_NAMES.get(code, 'unknown exception')} (exception {code})", code)
 
 
 def _checked(what: str, request: Request, reply: Any) -> tuple[int, ...]:

@@ -25,6 +25,7 @@ from drivers.errors import (
 )
 from drivers.instrument import Reading, ReadingStatus
 from drivers.shared_time import SharedTime
+from drivers.standstill import ARRIVED_WITHIN_MM
 from drivers.undo import Step, undo_all
 from hil.machine.time_out import Motion, drive_report, likely_reason
 from hil.machine.watched_axis import STALLED_S, WatchedAxis
@@ -38,8 +39,6 @@ UNSEEN_S, UNSEEN_TIMES = 0.5, 5
 second and is no reason; at 50 mm/s five such looks are 125 mm seen at five places only."""
 FIRST_READING_S = 2.0
 """Time limit from opening an instrument to its first reading, s: some send it only after their air sensors have reported in turn."""
-ARRIVED_WITHIN_MM = 0.1
-"""Tolerance of the arrival check, mm, motor encoder against command: above any position window, below any distance to be measured."""
 LONGER, LONGER_S = 3.0, 5.0
 """Time limit of a move: this factor times its duration by speed and ramps, and so many seconds more (an override of 50 %, a slow
 start)."""

@@ -528,7 +528,7 @@ def _in_position_goes_late(word: int, since_s: float) -> int:
 
 @pytest.mark.parametrize("modes", [0x3FF, 0x0A0], ids=["profile position", "set-points only"])
 @pytest.mark.parametrize("shown", [_always_in_position, _in_position_goes_late])
-@pytest.mark.parametrize("window", [10, 0xFFFF_FFFF, 0x7FFF_FFFF])
+@pytest.mark.parametrize("window", [10, 2_000_000, 0x3FFF_FFFF, 0xFFFF_FFFF, 0x7FFF_FFFF])
 def test_no_window_is_not_one_of_all_positions(
     make: MakeRig, window: int, shown: Callable[[int, float], int], modes: int
 ) -> None:
@@ -544,7 +544,8 @@ def test_no_window_is_not_one_of_all_positions(
         begun_ns = clock.now_ns()
         drive.start_move(target_mm, 50.0)
         drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-        assert rig.bench.servo.position_actual_counts / 10_000 == pytest.approx(target_mm, abs=0.006)
+        within_mm = 0.006 if window in (10, 0xFFFF_FFFF, 0x7FFF_FFFF) else 0.02  # a drive rests anywhere in a window that it has
+        assert rig.bench.servo.position_actual_counts / 10_000 == pytest.approx(target_mm, abs=within_mm)
     drive.start_homing()  # which the move before must not end, nor keep from ending
     drive.wait_for(lambda sample: sample.homed is True and sample.target_reached, 2.0, "homed")
     assert drive.sample().position_load_mm == pytest.approx(0.0, abs=0.01)
@@ -569,6 +570,22 @@ def test_bit_11_by_the_current_ends_no_move(make: MakeRig, limits: tuple[int, in
         assert drive.sample().position_load_mm == pytest.approx(target_mm, abs=1e-3)
     assert limited
     assert len([note for note in drive.notes if "bit 11" in note]) == 1
+
+
+@pytest.mark.parametrize(("lacking", "beyond_mm"), [(1, 60.0), (2, -60.0)])
+def test_one_bound_of_607d_leaves_the_other_side_open(make: MakeRig, lacking: int, beyond_mm: float) -> None:
+    rig = make(parameters={(0x607D, 1): -500_000, (0x607D, 2): 500_000})
+    profile, items = rig.bench.slave.profile, rig.bench.slave.dictionary.items
+    word, clamp = profile._true_statusword, profile._clamp
+    profile._true_statusword = lambda: word() | 0x0800  # type: ignore[method-assign]
+    drive = rig.enabled()
+    profile._clamp = lambda target: target  # type: ignore[method-assign]
+    del items[0x607D, lacking]
+    drive.start_move(-beyond_mm, 100.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    with pytest.raises(LimitError, match=r"own software limits \(607Dh\)"):
+        drive.start_move(beyond_mm, 100.0)
+    profile._clamp = clamp  # type: ignore[method-assign]
 
 
 @pytest.mark.parametrize(

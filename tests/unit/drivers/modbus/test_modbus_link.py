@@ -125,6 +125,23 @@ def test_a_busy_device_is_asked_again_after_a_pause() -> None:
     assert len(r.wire.asked) == 3
 
 
+@pytest.mark.parametrize("code", [10, 11])
+def test_a_unit_that_a_gateway_does_not_reach_is_asked_again_and_then_counts_as_silent(code: int) -> None:
+    r = rig(AbortError("gateway", code), AbortError("gateway", code), (1, 2))
+    assert read(r.link) == (1, 2)
+    r = rig(*[AbortError("gateway", code)] * 9, policy=LinkPolicy(busy_s=0.04))
+    with pytest.raises(NoAnswerError, match=r"gateway, asked again for 0\.04 s"):
+        read(r.link)
+    assert len(r.wire.asked) == 3
+
+
+@pytest.mark.parametrize(("code", "writes"), [(10, [True, True]), (11, [True, False])])
+def test_a_write_that_a_gateway_passed_on_may_have_been_carried_out(code: int, writes: list[bool]) -> None:
+    r = rig(AbortError("gateway", code), (3, 4) if code == 11 else ())
+    r.link.write(1, HOLDING, 10, (3, 4))
+    assert [request.function.is_write for request in r.wire.requests] == writes
+
+
 def test_a_lost_connection_is_made_anew_for_a_read() -> None:
     r = rig(LinkLostError("gone"), (5, 6))
     assert read(r.link) == (5, 6)
