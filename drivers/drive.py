@@ -108,8 +108,8 @@ class DriveSample:
 
     time_ns: the clock's time at which the values were received; check `age_ns` before using them. since_ns: before they were asked
     for, None where time_ns is exact; where this process or the wire is delayed, the values are of any moment between the two.
-    limited: the drive reports that a limit of its own is active (CiA-402: statusword bit 11, internal limit), such as a software
-    limit.
+    target_reached: False without power. limited: the drive reports that a limit of its own is active (CiA-402: statusword bit 11,
+    internal limit), such as a software limit.
     """
 
     time_ns: int

@@ -97,12 +97,12 @@ class VirtualDrive(ServoDrive):
     # -- reading ---------------------------------------------------------------------------------------------------
     def sample(self) -> DriveSample:
         self._require_open()
-        servo, counts_per_mm = self._servo, self._counts_per_mm
+        servo, counts_per_mm, state = self._servo, self._counts_per_mm, self._state()
         return DriveSample(
             time_ns=self.clock.now_ns(),
-            state=self._state(),
+            state=state,
             position_load_mm=servo.position_actual_counts / counts_per_mm,
-            target_reached=servo.target_reached,
+            target_reached=servo.target_reached and state is DriveState.ENABLED,
             velocity_mm_s=servo.velocity_actual_counts_s / counts_per_mm,
             torque_percent=self.scaling.direction * servo.torque_actual_permille / 10.0,
             following_error_mm=servo.following_error_counts / counts_per_mm,

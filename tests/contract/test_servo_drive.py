@@ -147,6 +147,7 @@ def test_quick_stop_brings_a_moving_axis_to_rest(rig: Rig) -> None:
         sample = drive.sample()
         assert sample.velocity_mm_s == 0.0
         assert sample.state in (DriveState.QUICK_STOP, DriveState.SWITCH_ON_DISABLED)
+        assert not sample.target_reached
         rig.run(1.0)
         assert drive.sample().position_load_mm == sample.position_load_mm
 
@@ -205,8 +206,10 @@ def test_a_fault_during_a_move_stops_it(rig: Rig) -> None:
         rig.run(0.5)
         rig.servo.raise_fault(OVER_VOLTAGE)
         rig.run(2.0)
-        assert drive.sample().state is DriveState.FAULT
-        assert drive.sample().velocity_mm_s == 0.0
+        sample = drive.sample()
+        assert sample.state is DriveState.FAULT
+        assert not sample.target_reached
+        assert sample.velocity_mm_s == 0.0
 
 
 def test_resetting_without_a_fault_leaves_it_disabled(rig: Rig) -> None:

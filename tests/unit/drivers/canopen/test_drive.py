@@ -544,7 +544,9 @@ def test_no_window_is_not_one_of_all_positions(
         begun_ns = clock.now_ns()
         drive.start_move(target_mm, 50.0)
         drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-        within_mm = 0.006 if window in (10, 0xFFFF_FFFF, 0x7FFF_FFFF) else 0.02  # a drive rests anywhere in a window that it has
+        within_mm = (
+            0.006 if window in (10, 0xFFFF_FFFF, 0x7FFF_FFFF) else 0.02
+        )  # a drive rests anywhere in a window that it has
         assert rig.bench.servo.position_actual_counts / 10_000 == pytest.approx(target_mm, abs=within_mm)
     drive.start_homing()  # which the move before must not end, nor keep from ending
     drive.wait_for(lambda sample: sample.homed is True and sample.target_reached, 2.0, "homed")
