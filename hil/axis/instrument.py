@@ -82,7 +82,7 @@ class DisplayConfig:
     pulsed: bool = False
     pattern: Annotated[Text, Limits(description=EXPECTED)] = ""
     fault: Annotated[Text, Limits(description="a regular expression")] = ""
-    unit: Annotated[str, Via(Text, _length_unit, '"mm", "um" or "in"')] = "mm"
+    unit: Annotated[str, Via(Text, _length_unit, "mm, um or in, small or capital")] = "mm"
     decimals: Annotated[int, Limits(ge=0, le=9)] | None = None
     request: Annotated[
         str, Limits(pattern=r"\A[\x00-\x7f]{1,40}\Z", description="ASCII text of up to 40 characters")

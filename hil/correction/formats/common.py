@@ -25,6 +25,8 @@ NM_IN_UM = 1e-3
 LENGTH_MM = {
     "nm": 1e-6,
     "um": 1e-3,
+    "micron": 1e-3,
+    "microns": 1e-3,
     "µm": 1e-3,
     "μm": 1e-3,
     "mm": 1.0,

@@ -139,7 +139,9 @@ def test_csv_with_other_names_units_and_marks() -> None:
     assert records["temp_screw_c"].tolist() == [20.1, 20.2]
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("um", 1e-3), ("in", 25.4), ("m", 1000.0), ("nm", 1e-6), ("", 1.0)])
+@pytest.mark.parametrize(
+    ("unit", "factor"), [("um", 1e-3), ("IN", 25.4), ("microns", 1e-3), ("m", 1000.0), ("nm", 1e-6), ("", 1.0)]
+)
 def test_csv_units(unit: str, factor: float) -> None:
     chosen = MeasuredCsvSettings({"measured_mm": Column("measured_mm", unit)})
     records = measured_csv.load("run,direction,target_mm,measured_mm\n1,+,0,2\n", chosen)
