@@ -257,6 +257,10 @@ class ServoDrive(ABC):
         """
         return ()
 
+    def fault_text(self, code: int) -> str:
+        """An error code of this drive in words. A backend that knows what its codes mean overrides this."""
+        return f"error code {code:04X}h"
+
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
         """The units that the drive itself reports, read now: each possible interpretation, the likeliest first.
 

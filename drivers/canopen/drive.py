@@ -20,7 +20,7 @@ from drivers.canopen.homing import Homing
 from drivers.canopen.identity import Identity, read_identity, stores_on_command
 from drivers.canopen.motion import ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
-from drivers.canopen.node import NmtState
+from drivers.canopen.node import NmtState, error_text
 from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
@@ -333,6 +333,10 @@ class CanOpenDrive(StoppableDrive):
             if not self.motion.mode_unseen:
                 self.homing.believe(self.sdo.read(objects.STATUSWORD))
         return self.homing.homed
+
+    def fault_text(self, code: int) -> str:
+        """As the standard has it (CiA 301, CiA 402)."""
+        return error_text(code)
 
     def complaints(self) -> tuple[str, ...]:
         """The warning bit of the last statusword, and the last emergency unless it reported that the errors are gone."""

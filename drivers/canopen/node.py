@@ -83,8 +83,8 @@ def error_text(code: int) -> str:
     """Meaning and number of an error code of EMCY or 603Fh (CiA-301, CiA-402)."""
     for mask, value, text in ERROR_CLASSES:
         if code & mask == value:
-            return f"{text} (0x{code:04X})"
-    return f"unknown error (0x{code:04X})"
+            return f"{text} ({code:04X}h)"
+    return f"unknown error ({code:04X}h)"
 
 
 @dataclass(frozen=True)

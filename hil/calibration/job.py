@@ -59,16 +59,26 @@ def calibration_plan(axis: AxisConfig) -> Plan:
     return measuring_plan(axis, [*steps, *steps], writes, locked=True)
 
 
-def run_dense_pass(machine: Machine, listener: Listener = silent) -> Proposal:
+@dataclass(frozen=True)
+class DensePass:
+    """The dense pass before a calibration. campaign: to be finished when the calibration is; going_on: whether the calibration of this
+    pass is the one to resume."""
+
+    proposal: Proposal
+    campaign: Campaign
+    going_on: bool
+
+
+def run_dense_pass(machine: Machine, listener: Listener = silent, *, resume: bool = False) -> DensePass:
     """Prepares, measures the uncorrected axis densely, and proposes the spacing. Raises what `dense_steps` and measuring raise."""
     axis, session = machine.axis, machine.session
-    steps = dense_steps(axis)
-    campaign = Campaign.numbered(axis.store.directory, axis.purpose(DENSE), resume=False)
+    steps, place = dense_steps(axis), axis.store.directory
+    complete = Campaign.unfinished(place, DENSE) is None
+    going_on = resume and (complete or Campaign.unfinished(place, CALIBRATE) is not None)
+    campaign = Campaign.numbered(place, axis.purpose(DENSE), resume=resume)
     session.prepare(campaign.directory)
     session.compensation = None
-    records = measure(session, campaign, DENSE, steps, listener)
-    campaign.finish()
-    return propose(axis, records)
+    return DensePass(propose(axis, measure(session, campaign, DENSE, steps, listener)), campaign, going_on)
 
 
 def with_dense_pass(plan: Plan, axis: AxisConfig) -> Plan:
@@ -458,11 +468,11 @@ def _verification_purpose(axis: AxisConfig, compensation: Compensation | None, s
 
 
 def run_proof(machine: Machine, listener: Listener, *, resume: bool) -> Verification:
-    """The verification that ends a calibration, of what it has put into force. resume: an interrupted one of the same is continued.
+    """The verification that ends a calibration, of what it has put into force. resume: the last one of the same is continued.
 
     Raises as `run_verification`."""
     compensation = machine.session.compensation
-    left = Campaign.unfinished(machine.axis.store.directory, VERIFY) if resume else None
+    left = Campaign.latest(machine.axis.store.directory, VERIFY) if resume else None
     same = left is not None and left.purpose == json.loads(
         json.dumps(_verification_purpose(machine.axis, compensation, 1))
     )

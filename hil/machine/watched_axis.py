@@ -216,7 +216,7 @@ class WatchedAxis:
         readings = self._poll()
         if sample.state in FAULTS:
             self.saw_fault = True
-            code = "" if sample.fault_code is None else f" (error code {sample.fault_code:04X}h)"
+            code = "" if sample.fault_code is None else f": {self.drive.fault_text(sample.fault_code)}"
             during = "" if self.motion is None else f" during {self.motion.what}"
             raise DriveFaultError(
                 f"drive {self.drive.name} went into {sample.state.value}{during}{code}", sample.fault_code

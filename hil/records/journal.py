@@ -147,8 +147,8 @@ class RowJournal(AppendedFile):
 
 
 @dataclass(frozen=True)
-class Unfinished:
-    """A campaign that was interrupted and can be resumed. purpose: what it was started for"""
+class Begun:
+    """A campaign on disk that can be resumed. purpose: what it was started for"""
 
     directory: Path
     purpose: Mapping[str, Any]
@@ -256,8 +256,14 @@ class Campaign:
         replace_file(self.directory / FINISHED, b"")
 
     @staticmethod
-    def unfinished(parent: Path, kind: str) -> Unfinished | None:
-        """The campaign of this kind that `numbered` would resume, if it has rows and its job is not complete.
+    def unfinished(parent: Path, kind: str) -> Begun | None:
+        """The `latest` of this kind, where its job is not complete."""
+        last = Campaign.latest(parent, kind)
+        return None if last is None or (last.directory / FINISHED).exists() else last
+
+    @staticmethod
+    def latest(parent: Path, kind: str) -> Begun | None:
+        """The campaign of this kind that `numbered` would resume, if it has rows and was not discarded.
 
         None, too, where its purpose cannot be read: it cannot be resumed.
         """
@@ -266,10 +272,10 @@ class Campaign:
             path for path in begun if path.name.removeprefix(f"{kind}-").isdecimal() and any(path.glob("*.csv"))
         ]
         last = max(with_rows, key=lambda path: int(path.name.rpartition("-")[2]), default=None)
-        if last is None or (last / FINISHED).exists() or (last / DISCARDED).exists():
+        if last is None or (last / DISCARDED).exists():
             return None
         try:
-            return Unfinished(last, read_purpose(last))
+            return Begun(last, read_purpose(last))
         except InputError:
             return None
 

@@ -348,6 +348,29 @@ def test_a_proof_that_broke_off_is_gone_on_with_and_not_measured_anew(
     assert states == {"finished"}
 
 
+@pytest.mark.outside
+@pytest.mark.parametrize("part", ["dense", "calibrate", "verify"])
+def test_a_dense_pass_is_measured_once_wherever_its_calibration_broke_off(
+    axis: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], part: str
+) -> None:
+    """An older calibration that is finished is not taken for the one that the dense pass began."""
+    assert main(["calibrate", str(axis), "--without-proof"]) in (0, 1)
+    with monkeypatch.context() as patch:
+        begun = interrupted_in(part, 3, patch)
+        assert main(["calibrate", str(axis), "--dense"]) == 130
+        assert begun
+    command = f"hil calibrate {axis} --dense --resume"
+    assert last_line(capsys) == f"hil: go on with: {command}"
+    campaigns = axis.parent / "X-campaign"
+    dense = campaigns / "dense-001" / "dense.csv"
+    before = dense.read_bytes()
+    for _ in range(2):  # the second finds all of it finished and measures nothing
+        assert main(shlex.split(command)[1:]) in (0, 1)
+        assert dense.read_bytes().startswith(before)
+        found = sorted(path.parent.name for path in campaigns.glob("*/campaign.json"))
+        assert found == ["calibrate-001", "calibrate-002", "dense-001", "verify-001"]
+
+
 def pulled(_session: AxisSession, *_more: object) -> None:
     raise LinkLostError("pulled")
 

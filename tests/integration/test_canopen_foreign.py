@@ -206,7 +206,7 @@ def test_we_hear_their_heartbeat_boot_up_and_emergency(ours: Ours) -> None:
     assert link.wait(lambda: monitor.state is NmtState.OPERATIONAL, 1.0)
     node.emcy.send(0x8611, 0x20, b"\x01\x02\x03\x04\x05")
     assert link.wait(lambda: len(monitor.log) == 1, 1.0)
-    assert str(monitor.log[0]) == "following error (0x8611), register 20h, extra 0102030405"
+    assert str(monitor.log[0]) == "following error (8611h), register 20h, extra 0102030405"
     node.nmt.stop_heartbeat()
 
 

@@ -29,6 +29,7 @@ from hil.records.zero import POSITION_DEPENDENT_METHODS, explain_homing
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import served as served_can
 from sim_backends.clock import SimClock
+from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import SimulatedServo
@@ -117,6 +118,7 @@ def test_from_a_scan_to_a_proven_axis(name: str, tmp_path: Path, capsys: pytest.
         assert axis.scaling.encoder_counts_per_motor_rev == maker.counts_per_rev
         assert axis.uncertainty is not None, "else a verification at its end decides nothing"
         assert axis.correction.accuracy_limit_um == 10.0
+        assert not axis.drive.is_simulated
         text = path.read_text(encoding="utf-8")
         assert "accuracy_limit_um = 10.0    # assumed" in text
         assert "[uncertainty]    # ASSUMED" in text
@@ -267,6 +269,38 @@ def test_a_wrong_node_id_is_named_with_its_channel_and_who_is_there(
         path.write_text(path.read_text().replace("node_id = 7", "node_id = 9"))
         assert main(["doctor", str(path)]) == 1
         assert "looked for node 9 on first contact; a scan found 7" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("name", "simulated"),
+    [("Simulated feed axis servo drive", True), ("EPOS4 Module 50/15", False), ("not Simulated at all", False)],
+)
+def test_a_simulated_drive_is_known_by_its_name_so_that_certificates_say_so(
+    tmp_path: Path, name: str, simulated: bool
+) -> None:
+    channel, path = "drives by name", tmp_path / "Y.toml"
+    with served_can(SimulatedServo(BareShaft()), WallClock(), channel=channel, node_id=7) as slave:
+        slave.dictionary.set_raw((0x1008, 0), name.encode())
+        where = [
+            "--interface",
+            "virtual",
+            "--channel",
+            channel,
+            "--node",
+            "7",
+            *KNOWN,
+            "--instrument-port",
+            "/dev/null",
+        ]
+        assert main(["drives", "new", str(path), "--drive", "canopen", *where]) == 0
+    assert load_axis(path).drive.is_simulated is simulated
+
+
+def test_a_simulated_drive_is_known_by_its_name_over_modbus_too(tmp_path: Path) -> None:
+    with tcp_server({1: Cia402Registers(SimulatedServo(BareShaft()))}, WallClock()) as (_, port):
+        status, path = new(tmp_path, "cia402_over_modbus", port)
+    assert status == 0
+    assert load_axis(path).drive.is_simulated
 
 
 def test_a_wrong_unit_is_named_with_who_is_there(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

@@ -13,6 +13,7 @@ from drivers.errors import BridgeError, InputError, LocalError
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.zero import zero_keeper
 from hil.calibration.explore import Exploration
+from hil.calibration.spacing import KIND as DENSE
 from hil.figures.history import REPLAY, FoundCampaign
 from hil.records.journal import DISCARDED, FINISHED, Campaign, check_resumable
 from hil.records.zero import FILE, ZeroError, read_zero, what_shows_it
@@ -41,11 +42,15 @@ class Unfinished:
 
 def find_unfinished(args: argparse.Namespace) -> Unfinished | None:
     """The campaign that the verb of this command line, one of `VERBS`, would resume, or refuse to; None for none."""
-    kind = REPLAY if getattr(args, "replay", None) else args.resumes
+    replay = getattr(args, "replay", None)
     try:
         axis = load_axis(args.axis)
-        found = Campaign.unfinished(axis.store.directory, kind)
-        return None if found is None else _left(found.directory, None if kind == REPLAY else axis)
+        before = [DENSE] if getattr(args, "dense", False) else []  # it ends together with its calibration
+        for kind in [REPLAY] if replay else [*before, args.resumes]:
+            found = Campaign.unfinished(axis.store.directory, kind)
+            if found is not None:
+                return _left(found.directory, None if replay else axis)
+        return None
     except (BridgeError, OSError):
         return None
 
@@ -100,7 +105,7 @@ def state_of(campaign: FoundCampaign) -> str:
     if (campaign.directory / DISCARDED).exists():
         return "discarded"
     rows = any(one.records is not None for one in campaign.passes)
-    return "unfinished" if rows and campaign.kind in (*VERBS, REPLAY) else ""
+    return "unfinished" if rows and campaign.kind in (*VERBS, REPLAY, DENSE) else ""
 
 
 @dataclass(frozen=True)

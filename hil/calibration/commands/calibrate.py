@@ -130,20 +130,30 @@ def run(args: argparse.Namespace) -> int:
         _print_dry_run(args, axis)
         return 0
     store = None if args.replay else open_store(args, axis, writing=True)
-    beside = {"straightness": straightness, "backlash": backlash}
-    how = {**beside, "resume": args.resume, "recording": recording_name(args)}
     with machine_of(args, axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
-        dense = run_dense_pass(machine, listener) if args.dense else None
+        dense = run_dense_pass(machine, listener, resume=args.resume) if args.dense else None
         if dense is not None:
-            print("\n".join(dense.sentences()))
+            print("\n".join(dense.proposal.sentences()))
+        resume = args.resume if dense is None else dense.going_on
         proofs: list[Verification] = []
 
         def prove(result: Calibration) -> None:
             if store is not None and result.inside and not (args.record or args.without_proof):
                 proofs.append(run_proof(machine, listener, resume=args.resume))
 
-        result = run_calibration(machine, store, listener, **how, then=prove)
+        result = run_calibration(
+            machine,
+            store,
+            listener,
+            straightness=straightness,
+            backlash=backlash,
+            resume=resume,
+            recording=recording_name(args),
+            then=prove,
+        )
+        if dense is not None:
+            dense.campaign.finish()
         proof = proofs[0] if proofs else None
     summary = summarise(axis, result)
     found = None if proof is None else accuracy_of(axis, proof.records, corrected=True)
@@ -155,7 +165,7 @@ def run(args: argparse.Namespace) -> int:
         replace_file(args.report, calibration_report(axis, result, proof).encode())
     if args.json:
         more = {"accuracy": None if found is None else found.as_json()}
-        more |= {} if dense is None else {"dense": dense.as_json()}
+        more |= {} if dense is None else {"dense": dense.proposal.as_json()}
         write_json(args.json, {**summary, **more})
     return 0 if result.inside and (found is None or found.good) else 1
 

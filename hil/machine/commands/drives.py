@@ -163,7 +163,8 @@ def _canopen(args: argparse.Namespace, ask: Answers, notes: DriveNotes | None) -
         described = _described(
             args, ask, notes, sdo, (node.vendor_id or 0) if eds is None else eds.maker(node.vendor_id)
         )
-    return replace(described, notes=[*told, *_file_notes(eds, node), *described.notes])
+    lines = described.lines and [*described.lines, *_simulated(node.device_name or "")]
+    return replace(described, lines=lines, notes=[*told, *_file_notes(eds, node), *described.notes])
 
 
 def _described(
@@ -268,6 +269,15 @@ def _whole(option: str, text: str, highest: int) -> int:
     return int(text)
 
 
+def _simulated(device_name: str) -> list[str]:
+    """The key that certificates read, for a drive that names itself simulated (1008h)."""
+    return (
+        ["simulated = true    # by the name that the drive gives itself"]
+        if device_name.startswith("Simulated ")
+        else []
+    )
+
+
 # -- Modbus ------------------------------------------------------------------------------------------------------------
 def _modbus(args: argparse.Namespace) -> FirstContact:
     drive = load_drive_map(args.drive)
@@ -293,6 +303,7 @@ def _modbus(args: argparse.Namespace) -> FirstContact:
         fits = _word_order(args, drive, access, parameters, notes)
         fits &= _needs(args, drive, access, parameters, notes)
         reported = parameters.reported_scaling()
+        device_name = str(parameters.read("device_name")) if "device_name" in drive.registers.registers else ""
         if drive.homing is None:
             notes.append(f"homing: {drive.without_homing or 'not described'}; [measurement] home = false is set")
         elif drive.homing.method is not None:
@@ -306,6 +317,7 @@ def _modbus(args: argparse.Namespace) -> FirstContact:
     lines = ['backend = "modbus"', f'register_map = "{name}"', f'url = "{url}"', f"unit = {unit}"]
     if isinstance(endpoint, RtuEndpoint):
         lines.append(f"baud = {endpoint.baud}")
+    lines += _simulated(device_name)
     return FirstContact(lines if fits else None, reported, notes, drive.homing is not None)
 
 

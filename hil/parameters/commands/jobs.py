@@ -226,7 +226,7 @@ def _write_sets(
             progress=progress,
         )
     status = print_reports(reports, args.json)
-    if any(report.ending is not Ending.UNCHANGED for report in reports):
+    if any(report.ending not in (Ending.UNCHANGED, Ending.REFUSED) for report in reports):
         for axis in axes:
             tell_bench(axis)
     return status

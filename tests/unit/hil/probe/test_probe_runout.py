@@ -245,7 +245,7 @@ def test_a_fault_while_touching_stops_the_others_too(tmp_path: Path, mode: str) 
 
     bench.clock.attach(failing)
     with (
-        pytest.raises(DriveFaultError, match=r"drive X went into fault during .* \(error code 3210h\)"),
+        pytest.raises(DriveFaultError, match=r"drive X went into fault during .*: error code 3210h"),
         rig(config, bench, mode=mode) as (session, _),
     ):
         measure_run_out(session)
