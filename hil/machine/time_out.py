@@ -41,14 +41,14 @@ def likely_reason(motion: Motion, sample: DriveSample, speed_mm_s: float) -> str
         return f"still under way, slower than the {motion.speed_mm_s:g} mm/s asked for: an override, or a speed limit of the drive"
     if torque >= PUSHES_PERCENT:
         return "an end stop or a jam: it stands and pushes"
+    if left_mm is not None and abs(left_mm) <= BEHIND_MM > behind:
+        return "it stands at its target, and the drive does not say that it arrived (its position window)"
     if sample.limited:
         return "an internal limit of the drive that is active: of its current, velocity or position"
     if behind >= BEHIND_MM:
         return (
             "a following error: it stands, and its set-point is elsewhere (an end stop, a jam, a brake that is closed)"
         )
-    if left_mm is not None and abs(left_mm) <= BEHIND_MM:
-        return "it stands at its target, and the drive does not say that it arrived (its position window)"
     return "it stands, and the drive's set-point too: an override of 0, a halt, or an order that was not taken"
 
 

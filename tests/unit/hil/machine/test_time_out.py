@@ -26,6 +26,7 @@ STANDS = DriveSample(0, DriveState.ENABLED, 40.0, False, 0.0, 5.0, 0.001, True)
         (replace(STANDS, limited=True, torque_percent=120.0), 0.0, "end stop or a jam"),
         (replace(STANDS, limited=True), 0.0, "an internal limit of the drive"),
         (replace(STANDS, position_load_mm=99.99), 0.01, "the drive does not say that it arrived"),
+        (replace(STANDS, position_load_mm=99.99, limited=True), 0.01, "the drive does not say that it arrived"),
         (replace(STANDS, position_load_mm=99.99), 2.0, "does not come to rest"),
         (STANDS, 10.0, "slower than the 50 mm/s asked for"),
         (STANDS, -10.0, "moves away from its target"),
