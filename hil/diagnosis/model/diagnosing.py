@@ -30,7 +30,6 @@ from hil.diagnosis.stored import can_be_held_out
 from hil.effects import Effect, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
-from hil.effects.thermometers import AIR_TEMPERATURE
 from hil.effects.warming import as_far_as_seen, follows_a_temperature, is_bounded
 from hil.records.rows import UM_PER_MM, Records
 
@@ -140,14 +139,11 @@ class Case:
         return left
 
     def _bounded(self, live: Mapping[int, Term]) -> dict[int, Term]:
-        """The terms, of which those by a temperature that is not sure, or that of the air in the place of the machine's, go no further
-        than it went on these rows.
-        """
+        """The terms, of which those by a temperature that is not sure go no further than it went on these rows."""
         sure = {f.effect: min(f.confidence, f.follows[0][1] if f.follows else 1.0) for f in self.findings}
         return {
             key: as_far_as_seen(term, self.rows.columns)
-            if follows_a_temperature(term.form)
-            and (sure.get(term.effect.id, 0.0) < SURE or term.needs[0] == AIR_TEMPERATURE)
+            if follows_a_temperature(term.form) and sure.get(term.effect.id, 0.0) < SURE
             else term
             for key, term in live.items()
         }

@@ -14,7 +14,6 @@ from hil.diagnosis.model import diagnosing
 from hil.diagnosis.result import OUTSIDE, Diagnosis
 from hil.effects import ALL, Action
 from hil.effects.model import Model
-from hil.effects.warming import is_bounded
 
 
 def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
@@ -161,20 +160,6 @@ def test_without_its_sensor_a_cause_has_no_sure_wrong_name(case: str) -> None:
     column, effect = {"load": ("load_kg", "load_deflection"), "expansion": ("temp_screw_c", "thermal_expansion")}[case]
     found = said(case, without=column)
     assert not [f for f in found.findings if f.confidence > 0.9 and f.effect != effect]
-
-
-@pytest.mark.parametrize(("column", "bounded"), [("temp_screw_c", False), ("air_temp_c", True)])
-def test_the_airs_temperature_in_the_place_of_the_machines_counts_as_far_as_it_went(
-    column: str, *, bounded: bool
-) -> None:
-    def named(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
-        made = sensors(c, rng)
-        return {column: made["temp_screw_c"], "load_kg": made["load_kg"]}
-
-    records = campaign(lambda c: wavy(c) + 0.011 * x(c) * (c[column] - 20.0), sensors=named, seed=5)
-    (term,) = diagnosing.diagnose(records, None, ALL, 0).extended.terms
-    assert term.needs[0] == column
-    assert is_bounded(term) == bounded
 
 
 def test_harmonics_of_one_part_are_told_of_one_part() -> None:
