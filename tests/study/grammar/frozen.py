@@ -3,6 +3,9 @@ and two such files side by side on the machines that both have.
 
 `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10650 --machines 200` goes on where OUT ends;
 `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl`.
+
+`outcomes/` has those of both engines on the same machines: search.jsonl by the verbs, seconds by the clock on a busy computer;
+model.jsonl by the same judge without the verbs, seconds of the processor.
 """
 
 from __future__ import annotations
