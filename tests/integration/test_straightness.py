@@ -84,7 +84,7 @@ def test_measured_proven_stored_and_in_force_at_other_targets(tmp_path: Path, fa
 
 def test_the_circle_streams_it_to_the_other_axis(tmp_path: Path) -> None:
     """Over CANopen: the same tables, with the straightness beside them and without, over 200 mm of X."""
-    x, y = lay_out_bent(tmp_path, "canopen")
+    x, y = lay_out_bent(tmp_path, "canopen", sections=12)
     assert main(["calibrate", str(x)]) == main(["calibrate", str(y)]) == 0
     circle = ["circle", str(x), str(y), "--centre", "240", "200", "--radius", "100", "--feed", "1500"]
     tables = run_json(circle, tmp_path / "tables.json")["circles"]["corrected"]
