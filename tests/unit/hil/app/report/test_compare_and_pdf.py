@@ -90,7 +90,7 @@ def test_the_verb_compares(place: Path) -> None:
     ("argv", "says"),
     [
         (["--compare", "a.csv", "b.csv", "a.csv"], "and not both"),
-        ([], "expected record files, or --compare"),
+        ([], "expected record files, or --axis-file"),
         (["a.csv", "--axis-file", "none.toml"], "none.toml: cannot be read"),
     ],
 )
