@@ -27,6 +27,7 @@ example:
   hil params download X.toml Y.toml Z.toml --set new.toml   several drives at once: if one refuses, none is changed
   hil params verify X.toml --set new.toml                   read everything again
   hil params restore X.toml                                 as it was before the last download
+  hil params restore X.toml --factory                       the maker's defaults: backed up first, and asked
   hil params resume X.toml                                  finish a download that was cut off; or: rollback
 
 A set is a TOML file, a DCF (.dcf) or a concise DCF (.cdcf). Motion targets, modes and commands, the maker's own too, are never
