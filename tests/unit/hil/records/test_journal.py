@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.errors import InputError, StateError
-from hil.records.journal import Campaign, RowJournal, Unfinished
+from hil.records.journal import Begun, Campaign, RowJournal
 from hil.records.rows import read_csv
 
 NAMES = ("run", "direction", "target_mm", "measured_mm", "time_s", "torque_percent")
@@ -426,7 +426,7 @@ def test_what_was_broken_off_is_found_with_what_it_was_started_for(tmp_path: Pat
     assert Campaign.unfinished(tmp_path, "k") is None  # without a row there is nothing to go on with
     with campaign.rows("pass", NAMES) as journal:
         journal.append(row(1))
-    assert Campaign.unfinished(tmp_path, "k") == Unfinished(campaign.directory, {"kind": "k", "seed": 7})
+    assert Campaign.unfinished(tmp_path, "k") == Begun(campaign.directory, {"kind": "k", "seed": 7})
     marker = campaign.directory / "campaign.json"
     purpose = marker.read_text()
     for damaged in ("{", "[1]"):  # such a campaign cannot be resumed
