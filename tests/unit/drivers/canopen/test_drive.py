@@ -272,7 +272,7 @@ def test_a_fault_that_stays_is_named(make: MakeRig) -> None:
     rig.bench.servo.raise_fault(0x3210)
     rig.run(0.1)
     with pytest.raises(
-        DriveFaultError, match=r"the fault stays after a reset: DC link over-voltage \(0x3210\)"
+        DriveFaultError, match=r"the fault stays after a reset: DC link over-voltage \(3210h\)"
     ) as caught:
         drive.reset_fault()
     assert caught.value.code == 0x3210
@@ -843,8 +843,8 @@ def test_emergencies_are_logged_with_their_meaning(make: MakeRig) -> None:
     drive.sample()
     texts = [str(emergency) for emergency in drive.monitor.log]
     assert texts == [
-        "drive over-temperature (0x4310), register 09h, extra 0000000000",
-        "no error (0x0000), register 00h, extra 0000000000",
+        "drive over-temperature (4310h), register 09h, extra 0000000000",
+        "no error (0000h), register 00h, extra 0000000000",
     ]
 
 
