@@ -62,6 +62,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> Shown:
     with pytest.MonkeyPatch.context() as patch:
         for name, value in PASSWORDS.items():
             patch.setenv(name, value)
+        patch.setenv("COLUMNS", "100")  # xdist gives 80, where names of stages wrap
         assert main(["calibrate", str(axis), "--without-proof"]) == 0
         told = place / "verify.txt"
         with told.open("w") as out:
