@@ -128,7 +128,7 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     save_private_key(folder / "builder.key", key, PASSWORDS["HIL_KEY_PASSWORD"], cost=Cost(2, 1, 1))
     save_public_key(folder / "builder.pub", key.public_key())
     (folder / "table.csv").write_text("position_mm,plus_um,minus_um\n0,0,1\n10,2,3\n20,1,2\n")
-    (folder / "x.comp").write_text("0 0.0 0.001\n10 10.002 10.003\n")
+    (folder / "x.comp").write_text("0 0.0 0.001\n10 0.002 0.003\n")
     (folder / "x.sealed").write_bytes(
         seal({"table.csv": b"1" * 5000}, PASSWORDS["HIL_PASSWORD"], key, cost=Cost(2, 1, 1))
     )

@@ -52,7 +52,7 @@ _FRAME = re.compile(
 _INCH = re.compile(r"\$M[NA]_\w*SCALING_SYSTEM\w*_METRIC\s*(\[.*?\])?\s*=\s*(0|FALSE)\s*", re.IGNORECASE)
 _BLOCK_NUMBER = re.compile(r"^\s*N\d+\s*", re.IGNORECASE)
 _TRUTH = {"true": "1", "false": "0"}
-_NEXT = re.compile(r"\s+(?=\$A)", re.IGNORECASE)
+_NEXT = re.compile(r"(?<!\s)\s+(?=\$A)", re.IGNORECASE)
 """Between the assignments of a block."""
 _EEC_VALUE = re.compile(r"\$AA_ENC_COMP\s*\[\s*(\d{1,9})\s*,\s*(\d{1,9})\s*,\s*(\w+)\s*\]\s*=\s*(\S+)$", re.IGNORECASE)
 _EEC_KEY = re.compile(
