@@ -271,6 +271,12 @@ def test_a_wrong_node_id_is_named_with_its_channel_and_who_is_there(
         assert "looked for node 9 on first contact; a scan found 7" in capfd.readouterr().err
 
 
+def on_virtual_bus(channel: str) -> list[str]:
+    """Arguments of `drives new` for node 7 of a virtual CAN bus."""
+    bus = ["--interface", "virtual", "--channel", channel, "--node", "7"]
+    return [*bus, *KNOWN, "--instrument-port", "/dev/null"]
+
+
 @pytest.mark.parametrize(
     ("name", "simulated"),
     [("Simulated feed axis servo drive", True), ("EPOS4 Module 50/15", False), ("not Simulated at all", False)],
@@ -281,17 +287,7 @@ def test_a_simulated_drive_is_known_by_its_name_so_that_certificates_say_so(
     channel, path = "drives by name", tmp_path / "Y.toml"
     with served_can(SimulatedServo(BareShaft()), WallClock(), channel=channel, node_id=7) as slave:
         slave.dictionary.set_raw((0x1008, 0), name.encode())
-        where = [
-            "--interface",
-            "virtual",
-            "--channel",
-            channel,
-            "--node",
-            "7",
-            *KNOWN,
-            "--instrument-port",
-            "/dev/null",
-        ]
+        where = on_virtual_bus(channel)
         assert main(["drives", "new", str(path), "--drive", "canopen", *where]) == 0
     assert load_axis(path).drive.is_simulated is simulated
 
@@ -318,17 +314,7 @@ def test_notes_ask_for_what_the_drive_does_not_say_and_are_refused_for_another_m
     channel, path = "notes of drives", tmp_path / "Y.toml"
     trinamic = {(0x1018, 1): 0x286}
     with served_can(SimulatedServo(BareShaft()), WallClock(), channel=channel, node_id=7, parameters=trinamic):
-        where = [
-            "--interface",
-            "virtual",
-            "--channel",
-            channel,
-            "--node",
-            "7",
-            *KNOWN,
-            "--instrument-port",
-            "/dev/null",
-        ]
+        where = on_virtual_bus(channel)
 
         def new_with(name: str, *more: str) -> tuple[int, str]:
             status = main(["drives", "new", str(path), "--drive", name, *where, *more])
