@@ -28,6 +28,8 @@ pytestmark = [
 ]
 KEY = PASSWORDS["HIL_KEY_PASSWORD"]
 FIRST = [entry.raw for entry in NEW.entries[:2]]
+COARSE = AXIS.replace("1_000_000", "500")
+"""Its travel fits the drive's registers of 16 bits."""
 ELEMENTS = {
     *(f"parameters.{name}" for name in ("instructions", "messages", "file", "bring", "backup", "compare", "verify")),
     *(
@@ -65,7 +67,7 @@ def axis(face: Face, tmp_path: Path) -> Iterator[Path]:
     with tcp_server({7: face}, WallClock()) as (_, port):
         path, key = tmp_path / "X.toml", new_key()
         path.write_text(
-            f'{AXIS}\n[drive]\nbackend = "modbus"\nregister_map = "forty.toml"\nurl = "tcp://127.0.0.1:{port}"\nunit = 7\n'
+            f'{COARSE}\n[drive]\nbackend = "modbus"\nregister_map = "forty.toml"\nurl = "tcp://127.0.0.1:{port}"\nunit = 7\n'
         )
         save_private_key(tmp_path / "builder.key", key, KEY, cost=Cost(n=1 << 10, r=8, p=1))
         save_public_key(tmp_path / "builder.pub", key.public_key())

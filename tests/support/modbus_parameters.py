@@ -45,7 +45,7 @@ max_write_registers = 16
 [registers.position]
 address = 0
 table = "input"
-type = "u16"
+type = "i16"
 unit = "counts"
 """
 _DRIVE = """
@@ -82,14 +82,14 @@ def write_map(folder: Path) -> Path:
     for address, name in enumerate(("ready", "is_on", "alarm", "arrived")):
         parts.append(f'[registers.{name}]\naddress = {address}\ntable = "discrete"\n')
     parts.append('[registers.on]\naddress = 0\ntable = "coil"\n')
-    for name, address, unit in (
-        ("target", 251, "counts"),
-        ("speed", 252, "rpm"),
-        ("ramp", 253, "rpm/s"),
-        ("go", 254, ""),
+    for name, address, kind, unit in (
+        ("target", 251, "i16", "counts"),
+        ("speed", 252, "u16", "rpm"),
+        ("ramp", 253, "u16", "rpm/s"),
+        ("go", 254, "u16", ""),
     ):
         told = f'unit = "{unit}"\n' if unit else "self_clearing = true\n"
-        parts.append(f'[registers.{name}]\naddress = {address}\ntable = "holding"\ntype = "u16"\n{told}')
+        parts.append(f'[registers.{name}]\naddress = {address}\ntable = "holding"\ntype = "{kind}"\n{told}')
     parts.append(f'[registers.store]\naddress = {STORE}\ntable = "holding"\ntype = "u16"\naccess = "wo"\n')
     for number in range(COUNT):
         parts.append(
