@@ -121,10 +121,10 @@ def estimate(
     contenders = compete(by_load, shortest_mm, RUNNABLE, table=False)
     two_tanh = next(one for one in contenders if one.fitted.shape is TWO_TANH)
     published = uncertain(two_tanh.fitted.rise, by_load, shortest_mm)
+    late_um = _late_um(contenders[0].fitted.rise, by_load)
     if isinstance(asked, Rise):
         contenders = (as_stated(asked, by_load), *contenders)
         parameters = {name: Uncertain(value, 0.0) for name, value in _values(asked).items()}
-        late_um = _late_um(asked, by_load)
         return Estimate(asked, parameters, published, contenders, tuple(reversals), late_um, asked_for=True, typed=True)
     best = contenders[0]
     if asked is not None:
@@ -133,18 +133,17 @@ def estimate(
         best = two_tanh
     rise = best.fitted.rise
     parameters = published if best is two_tanh else uncertain(rise, by_load, shortest_mm)
-    late_um = _late_um(rise, by_load)
     return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um, asked is not None)
 
 
 def with_two_tanh(found: Estimate) -> Estimate:
     """The same measurement with the two tanh terms fitted to it in place of the shape taken."""
     rise = next(one.fitted.rise for one in found.contenders if one.fitted.shape is TWO_TANH)
-    late_um = _late_um(rise, [reversal.by_load() for reversal in found.reversals])
-    return replace(found, rise=rise, parameters=found.published, late_um=late_um)
+    return replace(found, rise=rise, parameters=found.published)
 
 
 def _late_um(rise: Rise, by_load: Sequence[MeasuredReversal]) -> float:
+    """What comes back over the second half of the travel by the shape that describes the strokes best, whichever is put into force."""
     end_mm = max(float(reversal.travel_mm.max()) for reversal in by_load)
     return rise.risen_um(end_mm) - rise.risen_um(end_mm / 2.0)
 

@@ -328,6 +328,7 @@ def run(case: Case) -> Outcome:
     """One case; never raises."""
     kind = WIRES[case.wire][0][case.kind]
     at_ns = round(moment_s(case) * 1e9)
+    undisturbed_s(case.face, case.verb)  # once, before this run's rows are watched
     truths: list[Truth] = []
     peers: list[Peer] = []
     rows = Rows()
