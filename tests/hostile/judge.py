@@ -318,17 +318,17 @@ def undisturbed_s(face: str, verb: str) -> float:
 
 def moment_s(case: Case) -> float:
     """Time of the fault, s; seeds are spread over the verb's duration."""
+    duration_s = undisturbed_s(case.face, case.verb)  # here, before any row is watched
     if WIRES[case.wire][0][case.kind].at_start:
         return 0.001
     random = Random(str(case))
-    return undisturbed_s(case.face, case.verb) * (case.seed % 10 + random.random()) / 10.0
+    return duration_s * (case.seed % 10 + random.random()) / 10.0
 
 
 def run(case: Case) -> Outcome:
     """One case; never raises."""
     kind = WIRES[case.wire][0][case.kind]
     at_ns = round(moment_s(case) * 1e9)
-    undisturbed_s(case.face, case.verb)  # once, before this run's rows are watched
     truths: list[Truth] = []
     peers: list[Peer] = []
     rows = Rows()
