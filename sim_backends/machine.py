@@ -157,7 +157,9 @@ def modbus_server(
         bench.clock.attach(server.advance, bearable=server.bearable, settle=server.settle)
         guarded = server.guard(lambda time_ns, _dt_s: bench.clock.sleep_until_ns(time_ns))
         try:
-            yield Pace(bench.clock, wall, sleep=lambda time_ns: guarded(time_ns, 0.0)), place
+            pace = Pace(bench.clock, wall, sleep=lambda time_ns: guarded(time_ns, 0.0))
+            server.catch_up = pace.catch_up
+            yield pace, place
         finally:
             server.stop()
     finally:

@@ -63,6 +63,7 @@ class ModbusServer:
         self.faces = dict(faces)
         self.faults = WireFaultPlan(faults)
         self.requests = 0
+        self.catch_up: Callable[[], None] = lambda: None  # in real time: advance the machine to the present before an answer
         self.seen: list[tuple[int, bytes]] = []  # (unit, PDU) of every request, for tests
         self._remember = remember
         self._now_ns = 0
@@ -181,6 +182,7 @@ class ModbusServer:
                 except (OSError, ValueError):
                     continue  # a port was closed between the two lines
                 with self._lock:
+                    self.catch_up()
                     if ready:
                         self._pump()
                     else:
