@@ -11,7 +11,8 @@ from hil.backlash.result import LostMotion, fitted_lost_motion
 from hil.backlash.settings import backlash_settings
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.explore import warm_up
-from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.calibration.in_motion import measure_in_motion, plan_passes
+from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.job import Verification, enter_backlash, verify
 from hil.calibration.latency import measure_latency
 from hil.calibration.straightness import measure_straightness

@@ -11,13 +11,13 @@ def run() -> int:
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # false for a process that ignores it
     if ours:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from hil.app.terminal.main import load_verb, main  # noqa: PLC0415  (seconds of imports)
+    from hil.app.terminal.main import main  # noqa: PLC0415  (a Ctrl-C ends this import too)
 
-    load_verb(sys.argv[1:])
+    def loaded() -> None:
+        if ours:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    if ours:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    return main()
+    return main(loaded=loaded)
 
 
 def _umask(text: str) -> int:

@@ -19,6 +19,7 @@ from drivers.drive import Capability
 from drivers.errors import InputError
 from drivers.instrument import Reading
 from drivers.set_points import SetPointSettings, SetPointStream
+from hil.calibration.in_motion_settings import InMotion
 from hil.figures.latency import DELAY, check_feeds
 from hil.machine.events import Event, Listener, silent
 from hil.machine.measure import BASE_COLUMNS
@@ -27,29 +28,6 @@ from hil.machine.session import AxisSession
 from hil.machine.trigger_pairing import LatchReader, pair_triggers
 from hil.records.journal import Campaign
 from hil.records.rows import Floats, Records
-
-
-@dataclass(frozen=True)
-class InMotion:
-    """Settings of the passes.
-
-    feeds_mm_s: at each, up and down in every run; stretch_mm: of constant velocity; rows: kept of each pass, evenly
-    spaced
-    latency_s: of the instrument, see `hil.figures.latency`, None: unknown; dated_by: how it is known, in words; lag_mm:
-    allowed distance of the axis behind its set-point
-    trigger_input: input of the drive that captures positions at edges shared with the instrument, None: on the fly
-    """
-
-    feeds_mm_s: tuple[float, ...]
-    runs: int = 4
-    rows: int = 10
-    stretch_mm: float = 80.0
-    acceleration_mm_s2: float = 400.0
-    period_s: float = 0.002
-    latency_s: float | None = 0.0
-    dated_by: str = ""
-    trigger_input: int | None = None
-    lag_mm: float = 2.0
 
 
 @dataclass(frozen=True)

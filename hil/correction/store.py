@@ -18,6 +18,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 
 from drivers.errors import InputError, StateError
 from drivers.files import read_bytes, replace_file, sync_directory
+from hil.correction import TABLES
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Compensation
 from hil.correction.rise import rise_from_json
@@ -40,8 +41,6 @@ from hil.records.files import held, naming, parse_json
 from hil.records.made_with import MadeWith, read_made_with
 from hil.records.zero import Zero, read_zero
 
-TABLES = ("pitch", "backlash", "specified", "straightness")
-"""The tables that may have a password of their own."""
 SEPARATE_FORMAT = "hil-tables/1, some apart"
 """Of an entry that lacks those tables: a program that would take them for missing ones refuses it."""
 

@@ -12,7 +12,7 @@ from hil.app.desk.campaigns import Measurement, measurements
 from hil.app.report.views import estimate_of, label_of, list_of, object_of, objects_of, value_of
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion import InMotion
+from hil.calibration.in_motion_settings import InMotion
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.stored import can_be_held_out, read_stored, sources

@@ -11,15 +11,8 @@ from typing import Any
 from drivers.correction_table import TableDescription
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
-from hil.app.terminal.axis_options import (
-    add_axis_arguments,
-    add_password_options,
-    load_stored,
-    open_store,
-    positive,
-    seed,
-    tell_bench,
-)
+from hil.app.terminal.axis_options import load_stored, open_store, tell_bench
+from hil.app.terminal.options import add_axis_arguments, add_password_options, positive, seed
 from hil.app.terminal.output import number, print_facts, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis

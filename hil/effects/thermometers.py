@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-import scipy  # its parts are loaded where they are first used: each job at an axis starts through here
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
@@ -189,14 +188,16 @@ class _Course:
 
         Raises numpy.linalg.LinAlgError where rounding hides the readings beside it.
         """
+        from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415  (slow to import, and every job at an axis comes through here)
+
         m, freedom = len(moments.time), float(np.sum(moments.count)) - 2.0
         rows = moments.differences(order)
         matrix = stiffness * _banded(rows, m)
         matrix[-1] += moments.count
-        factor = scipy.linalg.cholesky_banded(matrix)
+        factor = cholesky_banded(matrix)
 
         def smooth(values: Floats) -> Floats:
-            return np.asarray(scipy.linalg.cho_solve_banded((factor, False), moments.count * values))
+            return np.asarray(cho_solve_banded((factor, False), moments.count * values))
 
         course = smooth(moments.value)
         logs = 2.0 * float(np.sum(np.log(factor[-1]))) - (m - order) * np.log(stiffness) - _log_determinant(rows)
@@ -242,9 +243,11 @@ def _banded(rows: Floats, size: int) -> Floats:
 
 def _log_determinant(rows: Floats) -> float:
     """log |D·Dᵀ| of a matrix D whose row i holds rows[i] from column i on."""
+    from scipy.linalg import cholesky_banded  # noqa: PLC0415  (as above)
+
     count, width = rows.shape
     matrix = np.zeros((width, count))
     for apart in range(min(width, count)):
         here, there = rows[: count - apart, apart:], rows[apart:, : width - apart]
         matrix[width - 1 - apart, apart:] = np.sum(here * there, axis=1)
-    return 2.0 * float(np.sum(np.log(scipy.linalg.cholesky_banded(matrix)[-1])))
+    return 2.0 * float(np.sum(np.log(cholesky_banded(matrix)[-1])))

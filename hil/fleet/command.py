@@ -9,93 +9,18 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import Align, add_json_option, print_facts, print_table, write_json
+from hil.app.terminal.output import Align, print_facts, print_table, write_json
 
 if TYPE_CHECKING:  # an extra
     from hil.fleet.index import State
 
-EXAMPLE = """\
-example:
-  hil fleet index campaigns                                  Parquet of all campaigns below it; again: only what is new
-  hil fleet trend campaigns --out trend.html                 what ages, what to look at first
-  hil fleet trend campaigns --quantity backlash_um --false-alarms 0.2 --since 2026-01-01
-  hil fleet compare campaigns --quantity A_um --json compared.json
-  hil fleet diagnose campaigns --axis X --scheduler tcp://scheduler:8786
-
-Exit status 1: index: something could not be read; trend: an alarm stands; compare: an axis is unlike the others.
-"""
 MOST_SHOWN = 25
 """Most lines of a table on the terminal; page and JSON have all."""
 Progress = Callable[[int, int], None]
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil fleet` with its jobs."""
-    parser = subparsers.add_parser(
-        "fleet",
-        description="Many axes over years: index their campaigns, find what ages, compare and diagnose them. Needs the fleet extra."
-        " No campaign is changed.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
-    one = _job(jobs, "index", "make the index follow the campaigns; what did not change is not read again", _index)
-    _add_workers(one)
-    one.add_argument("--again", action="store_true", help="read all campaigns again")
-    one = _job(jobs, "trend", "what ages: alarms at a stated rate of false ones, ranked", _trend)
-    _add_quantity(one)
-    one.add_argument(
-        "--false-alarms",
-        metavar="N",
-        type=float,
-        default=0.5,
-        help="false alarms a year in the whole fleet (default 0.5)",
-    )
-    one.add_argument("--since", metavar="DATE", help="only values from this date on, such as 2026-01-31")
-    one.add_argument("--all", action="store_true", help="every series on the terminal, not the first 25")
-    _add_page(one)
-    one = _job(jobs, "compare", "each axis beside the others", _compare)
-    _add_quantity(one)
-    _add_page(one)
-    one = _job(jobs, "diagnose", "the newest pass of each axis diagnosed, the largest cause first", _diagnose)
-    one.add_argument("--axis", metavar="NAME", action="append", help="only this axis; may be repeated")
-    _add_workers(one)
-    _add_page(one)
-
-
-def _job(jobs: Any, name: str, what: str, run: Callable[[argparse.Namespace], int]) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = jobs.add_parser(
-        name, help=what, description=what, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("directory", metavar="DIR", help="directory with the campaigns, at any depth")
-    parser.add_argument("--index", metavar="PLACE", help="where the index is (default: DIR/fleet-index)")
-    add_json_option(parser)
-    parser.set_defaults(run=run)
-    return parser
-
-
-def _add_workers(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--scheduler", metavar="ADDR", help="a Dask scheduler, such as tcp://HOST:8786 (default: local processes)"
-    )
-    parser.add_argument("--processes", metavar="N", type=int, help="local processes (default: one per core)")
-
-
-def _add_quantity(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--quantity",
-        metavar="NAME",
-        action="append",
-        help="may be repeated, such as backlash_um (default: all that ages)",
-    )
-
-
-def _add_page(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", metavar="PAGE.html", help="also write an HTML page with plots")
 
 
 def _places(args: argparse.Namespace) -> tuple[Path, Path]:
@@ -123,7 +48,7 @@ def _progress(what: str) -> Iterator[Progress]:
 
 
 # -- index -------------------------------------------------------------------------------------------------------------
-def _index(args: argparse.Namespace) -> int:
+def run_index(args: argparse.Namespace) -> int:
     root, index = _places(args)
     from hil.fleet.index import update  # noqa: PLC0415  (an extra, as below)
 
@@ -177,7 +102,7 @@ def _heads(names: Sequence[str]) -> list[str | tuple[str, Align]]:
 
 
 # -- trend, compare, diagnose ------------------------------------------------------------------------------------------
-def _trend(args: argparse.Namespace) -> int:
+def run_trend(args: argparse.Namespace) -> int:
     _, index = _places(args)
     from hil.fleet.ageing import series_of, trends  # noqa: PLC0415
     from hil.fleet.index import read_table  # noqa: PLC0415
@@ -216,7 +141,7 @@ def _since(text: str | None) -> datetime | None:
     return date.astimezone(UTC)
 
 
-def _compare(args: argparse.Namespace) -> int:
+def run_compare(args: argparse.Namespace) -> int:
     _, index = _places(args)
     from hil.fleet.ageing import compare, series_of  # noqa: PLC0415
     from hil.fleet.index import read_table  # noqa: PLC0415
@@ -242,7 +167,7 @@ def _compare(args: argparse.Namespace) -> int:
     return 1 if any(each.unlike for one in found for each in one.axes) else 0
 
 
-def _diagnose(args: argparse.Namespace) -> int:
+def run_diagnose(args: argparse.Namespace) -> int:
     root, index = _places(args)
     from hil.fleet.causes import counted, diagnose_all, newest_passes  # noqa: PLC0415
     from hil.fleet.index import read_table  # noqa: PLC0415

@@ -25,11 +25,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from types import FrameType
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from drivers.drive import ServoDrive
+if TYPE_CHECKING:  # a verb's help needs no drive
+    from drivers.drive import ServoDrive
 
-Drive = TypeVar("Drive", bound=ServoDrive)
+Drive = TypeVar("Drive", bound="ServoDrive")
 
 
 class DrivesToStop:

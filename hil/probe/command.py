@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
-from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import add_json_option, print_facts, print_table, times, write_json
-from hil.app.terminal.passwords import KEY, READING, password
+from hil.app.terminal.options import KEY, READING
+from hil.app.terminal.output import print_facts, print_table, times, write_json
+from hil.app.terminal.passwords import password
 from hil.app.terminal.progress import terminal_progress
 from hil.machine.events import Listener
 from hil.probe import job as probe
-from hil.probe.machine_file import MODES, ProbeMachineConfig, load_probe_machine
+from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasurement, on_schedule, ways
 from hil.probe.runout import CorrectionCode, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
@@ -147,105 +146,7 @@ def correction_form(config: ProbeMachineConfig, done: Correction) -> dict[str, A
     }
 
 
-EXAMPLE = """\
-example:
-  hil probe measure mill.toml --dry-run              what would move, and how far
-  hil probe measure mill.toml --report probe.html    M90: run-out and tip radius, put into force if it closes
-  hil probe measure mill.toml --mode step            by pulses, where the drive latches no positions
-  hil probe measure mill.toml --every 30             again every 30 minutes, until interrupted
-  hil probe correct mill.toml --code M91             move X by the run-out in force (M92: Y, M93: both)
-  hil probe centre mill.toml                         touch a bore on both sides in X and Y, go to its centre
-  hil probe face mill.toml --spindle 30              where a face is; also: boss, reference, angle
-  hil probe codes mill.toml                          do so when the control asks for it by its M codes
-
-Where [machine] names no z axis, Z is the operator's: jog the probe to the height of block, bore or face first.
-hil/examples/probe_machine.toml shows a machine file.
-Exit status 1: the measurement was refused, as the contacts do not close, do not repeat, or give another radius; nothing was stored.
-"""
-CODES = "M91: correct X, M92: Y, M93: both, unless [codes] of the machine file says otherwise"
 SECONDS_PER_MINUTE = 60.0
-OTHERS = (
-    ("face", "where a single face is"),
-    ("angle", "the angle of a face"),
-    ("boss", "middle and widths of a boss"),
-    ("reference", "a reference position, where two faces meet"),
-)
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil probe` with its jobs."""
-    parser = subparsers.add_parser(
-        "probe",
-        description="Measure the run-out of a touch probe on a reference block, and correct measurements by it.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
-    measure = _add_job(jobs, "measure", "M90: run-out and tip radius, from contacts at 0, 90, 180 and 270°", _measure)
-    measure.add_argument("--every", metavar="MINUTES", type=_duration, help="again at this interval, until interrupted")
-    measure.add_argument("--times", metavar="N", type=_count, help="with --every: number of measurements")
-    measure.add_argument("--report", metavar="FILE.html", help="also write a report")
-    correct_ = _add_job(jobs, "correct", "M91, M92, M93: drive the axes by the run-out in force", _correct)
-    correct_.add_argument("--code", metavar="M91|M92|M93", required=True, help=CODES)
-    centre = _add_job(jobs, "centre", "find a bore's centre, corrected by the run-out in force, and go there", _centre)
-    centre.add_argument("--code", metavar="M91|M92|M93", help=f"{CODES} (default: both)")
-    centre.add_argument("--report", metavar="FILE.html", help="also write a report")
-    others = [
-        _add_job(jobs, name, f"measure {what}, corrected by the run-out in force", _other) for name, what in OTHERS
-    ]
-    for (name, _), other in zip(OTHERS, others, strict=True):
-        other.set_defaults(feature=name)
-        other.add_argument(
-            "--spindle", metavar="DEGREES", type=float, help="turn the spindle there before (default: as it is)"
-        )
-    codes = _add_job(jobs, "codes", "wait for a control's M codes, do what they ask for, answer with MFIN", _codes)
-    codes.add_argument(
-        "--times", metavar="N", type=_count, help="number of codes to handle (default: until interrupted)"
-    )
-    codes.add_argument("--wait", metavar="SECONDS", type=_duration, help="longest wait for a code (default: no limit)")
-    for touching in (measure, centre, codes, *others):
-        touching.add_argument(
-            "--mode", choices=MODES, help="contacts by latch or by steps (default: the machine file's)"
-        )
-
-
-def _add_job(
-    jobs: argparse._SubParsersAction[argparse.ArgumentParser], name: str, what: str, run: Callable[..., int]
-) -> argparse.ArgumentParser:
-    parser = jobs.add_parser(
-        name, help=what, description=what, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("machine", metavar="MACHINE.toml", help="the machine file")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be moved and written, and do nothing")
-    parser.add_argument(
-        "--password-file",
-        metavar="F",
-        help=f"of a sealed store: file with the reading password (else ${READING}, else asked)",
-    )
-    parser.add_argument(
-        "--key-password-file",
-        metavar="F",
-        help=f"of a sealed store: file with the builder key's password (else ${KEY}, else asked)",
-    )
-    add_json_option(parser)
-    parser.set_defaults(run=run)
-    return parser
-
-
-def _duration(text: str) -> float:
-    try:
-        duration = float(text)
-    except ValueError:
-        duration = math.nan
-    if not 0 < duration <= 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
-    return duration
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number > 0")
-    return int(text)
 
 
 # -- what all jobs need --------------------------------------------------------------------------------------------------
@@ -262,7 +163,7 @@ def _open_store(args: argparse.Namespace, config: ProbeMachineConfig, *, writing
 
 
 # -- measure -------------------------------------------------------------------------------------------------------------
-def _measure(args: argparse.Namespace) -> int:
+def run_measure(args: argparse.Namespace) -> int:
     """Returns 0: measured and stored; 1: refused (of a schedule: at least once)."""
     if args.times is not None and args.every is None:
         raise InputError("--times needs --every, expected an interval in minutes")
@@ -299,7 +200,7 @@ def _measure_once(args: argparse.Namespace, place: probe.ProbePlace, listener: L
 
 
 # -- other measurements --------------------------------------------------------------------------------------------------
-def _other(args: argparse.Namespace) -> int:
+def run_other(args: argparse.Namespace) -> int:
     config, name = load_probe_machine(args.machine), args.feature
     feature = config.require_feature(name)
     store = _open_store(args, config, writing=False)
@@ -356,7 +257,7 @@ def _shown(name: str, value: float) -> str:
 
 
 # -- codes ---------------------------------------------------------------------------------------------------------------
-def _codes(args: argparse.Namespace) -> int:
+def run_codes(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
     config.require_codes()
     if args.dry_run:
@@ -397,7 +298,7 @@ def print_codes(config: ProbeMachineConfig) -> None:
 
 
 # -- correct and centre --------------------------------------------------------------------------------------------------
-def _correct(args: argparse.Namespace) -> int:
+def run_correct(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
     code = config.codes.correction(args.code)
     store = _open_store(args, config, writing=False)
@@ -415,7 +316,7 @@ def _correct(args: argparse.Namespace) -> int:
     return 0
 
 
-def _centre(args: argparse.Namespace) -> int:
+def run_centre(args: argparse.Namespace) -> int:
     config = load_probe_machine(args.machine)
     bore = config.require_bore()
     code = CorrectionCode.M93 if args.code is None else config.codes.correction(args.code)

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import Align, add_json_option, from_here, number, print_facts, print_table, write_json
+from hil.app.terminal.output import Align, from_here, number, print_facts, print_table, write_json
 from hil.app.terminal.resume_hints import resume_command, state_of
 from hil.correction.formats import wide_iso
 from hil.figures.history import (
@@ -27,70 +27,15 @@ from hil.figures.history import (
     trend,
     usual_pass,
 )
-from hil.figures.iso230 import FIGURES, Iso230
+from hil.figures.iso230 import Iso230
 from hil.figures.reading import RULE
 from hil.records.files import naming
 from hil.records.journal import CHAINED, check_rows
 from hil.records.rows import read_csv, to_csv
 
-EXAMPLE = """\
-example:
-  hil records list .                                    every campaign below this directory, by date
-  hil records inspect X-campaign/calibrate-003          its purpose, its passes, whether they are unchanged
-  hil records merge jan.csv feb.csv --out both.csv      runs numbered on, times by the dates of the passes
-  hil records export X-campaign/verify-001/verify.csv --format iso-wide --out table.csv
-  hil records history X-campaign --figure A --figure R --out history.html
-
-Exit status 1: inspect found a pass that was changed, torn, or cannot be read.
-"""
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil records` with its jobs."""
-    parser = subparsers.add_parser(
-        "records",
-        description="List, inspect, merge and export measurement records. No existing file is changed.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
-    one = _job(jobs, "list", "every campaign below some directories, by date", _list)
-    one.add_argument("places", metavar="DIRECTORY", nargs="+")
-    one = _job(jobs, "inspect", "one campaign: purpose, passes, whether they are unchanged", _inspect)
-    one.add_argument("campaign", metavar="CAMPAIGN", help="its directory")
-    one = _job(jobs, "merge", "record files as one, in the order of time", _merge)
-    one.add_argument("records", metavar="RECORDS.csv", nargs="+")
-    one.add_argument("--out", metavar="OUT.csv", required=True)
-    one = _job(jobs, "export", "records for other programs", _export)
-    one.add_argument("records", metavar="RECORDS.csv")
-    one.add_argument("--format", choices=("csv", "iso-wide", "json"), required=True)
-    one.add_argument(
-        "--cells", choices=tuple(wide_iso.CELLS), default="deviation_um", help="iso-wide (default deviation_um)"
-    )
-    one.add_argument("--decimal", choices=(".", ","), default=".", help="iso-wide: decimal mark (default .)")
-    one.add_argument("--out", metavar="FILE", required=True)
-    one = _job(jobs, "history", "ISO 230-2 figures over months, with a trend", _history)
-    one.add_argument("places", metavar="DIRECTORY", nargs="+")
-    one.add_argument("--figure", action="append", choices=tuple(FIGURES), help="may be repeated (default A, R and B)")
-    one.add_argument("--axis", metavar="NAME", help="only this axis")
-    one.add_argument(
-        "--pass", dest="passes", metavar="NAME", action="append", help="passes of this name (default: the most usual)"
-    )
-    one.add_argument("--out", metavar="HISTORY.html", help="also write an HTML page with the plot")
-    one.add_argument("--png", metavar="FILE", help="also write the plot")
-
-
-def _job(jobs: Any, name: str, what: str, run: Any) -> argparse.ArgumentParser:
-    parser: argparse.ArgumentParser = jobs.add_parser(
-        name, help=what, description=what, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    add_json_option(parser)
-    parser.set_defaults(run=run)
-    return parser
-
 
 # -- list and inspect --------------------------------------------------------------------------------------------------
-def _list(args: argparse.Namespace) -> int:
+def run_list(args: argparse.Namespace) -> int:
     campaigns = find_campaigns(args.places)
     rows = [
         [
@@ -117,7 +62,7 @@ def _list(args: argparse.Namespace) -> int:
     return 0
 
 
-def _inspect(args: argparse.Namespace) -> int:
+def run_inspect(args: argparse.Namespace) -> int:
     campaign = read_campaign(Path(args.campaign))
     instrument = campaign.purpose.get("instrument")
     facts = {"axis": campaign.axis, "kind": campaign.kind}
@@ -210,7 +155,7 @@ def _campaign_form(campaign: FoundCampaign) -> dict[str, Any]:
 
 
 # -- merge and export --------------------------------------------------------------------------------------------------
-def _merge(args: argparse.Namespace) -> int:
+def run_merge(args: argparse.Namespace) -> int:
     found = [read_pass(Path(path), None) for path in args.records]
     for one in found:
         if one.records is None:
@@ -225,7 +170,7 @@ def _merge(args: argparse.Namespace) -> int:
     return 0
 
 
-def _export(args: argparse.Namespace) -> int:
+def run_export(args: argparse.Namespace) -> int:
     records = read_csv(args.records)
     if args.format == "json":
         columns = {name: [None if math.isnan(v) else v for v in records[name].tolist()] for name in records.columns}
@@ -242,7 +187,7 @@ def _export(args: argparse.Namespace) -> int:
 
 
 # -- history -----------------------------------------------------------------------------------------------------------
-def _history(args: argparse.Namespace) -> int:
+def run_history(args: argparse.Namespace) -> int:
     names = args.figure or ["A", "R", "B"]
     campaigns = [one for one in find_campaigns(args.places) if args.axis in (None, one.axis)]
     moments = history(campaigns, names)

@@ -20,10 +20,11 @@ from hil.app.report.job import Wanted
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import job as calibrate
 from hil.calibration.explore import Exploration
+from hil.calibration.in_motion_settings import feeds_of
 from hil.calibration.job import CALIBRATE
 from hil.calibration.page_data import calibration_screen
 from hil.diagnosis.loop.job import loop_job
-from hil.diagnosis.loop.jobs.plan import Looped, feeds_of, passes_at
+from hil.diagnosis.loop.jobs.plan import Looped, passes_at
 from hil.diagnosis.loop.jobs.stored import STAGES, StoredLoop, stored_loop
 from hil.diagnosis.loop.procedure import Turning
 from hil.diagnosis.page_data import diagnosis_screen

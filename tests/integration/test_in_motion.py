@@ -13,7 +13,8 @@ from support import bench_axis
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
 from hil.calibration.calibrate import calibrate
-from hil.calibration.in_motion import FeedPass, InMotion, ramped_path
+from hil.calibration.in_motion import FeedPass, ramped_path
+from hil.calibration.in_motion_settings import InMotion
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import turn_in_motion

@@ -17,7 +17,8 @@ from support import bench_axis
 
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
-from hil.calibration.in_motion import InMotion, measure_in_motion, plan_passes
+from hil.calibration.in_motion import measure_in_motion, plan_passes
+from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.latency import dated, measure_latency
 from hil.figures.latency import Latency
 from hil.machine.wiring import Machine, bench_parameters, connected

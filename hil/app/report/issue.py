@@ -8,16 +8,15 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from datetime import date, datetime, timedelta
-from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import read_bytes, read_text, replace_file
+from hil.app.terminal.options import KEY
 from hil.app.terminal.output import write_json
-from hil.app.terminal.passwords import KEY, password
+from hil.app.terminal.passwords import password
 from hil.axis.axis_file import AxisConfig
 from hil.correction.sealed import fingerprint, load_private_key, sign_detached
 from hil.records.files import naming, parse_json
@@ -29,46 +28,6 @@ if TYPE_CHECKING:  # plots are slow to import
     from hil.app.report.data import NamedCampaign
 
 _BEGUN = re.compile(rf"^# {BEGUN}(\S+?),?(?:\s|$)", re.MULTILINE)
-
-
-def ending(suffix: str, name: str) -> str:
-    """The name of a file of one kind, as the type of an option."""
-    if Path(name).suffix.lower() != suffix:
-        raise argparse.ArgumentTypeError(f"is {name!r}, expected a name ending in {suffix}")
-    return name
-
-
-def add_certificate_options(parser: argparse.ArgumentParser) -> None:
-    """The options of `hil report` for certificates."""
-    group = parser.add_argument_group(
-        "certificates (with --axis-file, whose [certificate] names machine, drive, instrument, parties)"
-    )
-    group.add_argument(
-        "--certificate",
-        metavar="FILE.pdf",
-        type=partial(ending, ".pdf"),
-        help="write a signed certificate of the last campaign, FILE.pdf and FILE.pdf.sig",
-    )
-    group.add_argument(
-        "--dcc",
-        metavar="FILE.xml",
-        type=partial(ending, ".xml"),
-        help="write it as a Digital Calibration Certificate (PTB's DCC 3), FILE.xml and FILE.xml.sig",
-    )
-    group.add_argument(
-        "--result",
-        metavar="OUT.json",
-        help="instead of records: the result of `hil circle --json` or `hil probe measure --json`",
-    )
-    group.add_argument("--measured", metavar="YYYY-MM-DD", help="day of the measurement, where the files do not say it")
-    group.add_argument(
-        "--key", metavar="BUILDER.key", help="the builder's private key (default: builder_key of the axis file)"
-    )
-    group.add_argument(
-        "--key-password-file",
-        metavar="F",
-        help=f"file whose first line is the key's password (else ${KEY}, else key_password_file of the axis file, else asked)",
-    )
 
 
 def write_certificates(

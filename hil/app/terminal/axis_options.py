@@ -11,38 +11,17 @@ from typing import TYPE_CHECKING
 from drivers.errors import BridgeError, InputError
 from hil.app.jobs.plan import Plan, Write, measuring_plan
 from hil.app.jobs.zero_statement import ZeroStatement
-from hil.app.terminal.output import add_json_option
-from hil.app.terminal.passwords import KEY, READING, own_passwords, password
+from hil.app.terminal.options import KEY, READING
+from hil.app.terminal.passwords import own_passwords, password
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
+from hil.correction import TABLES
 from hil.correction.compensation import Compensation
-from hil.correction.store import TABLES, SealedStore, bound_tables
+from hil.correction.store import SealedStore, bound_tables
 from hil.effects import ALL, Effect
 from hil.machine.measure import Step
 
 if TYPE_CHECKING:  # the drivers take longer to load than a dry run needs
     from hil.machine.wiring import Machine
-
-
-def add_axis_arguments(parser: argparse.ArgumentParser) -> None:
-    """The axis file, `--dry-run` and `--json`."""
-    parser.add_argument("axis", metavar="AXIS.toml", help="the axis file")
-    parser.add_argument("--dry-run", action="store_true", help="say what would be moved and written, and do nothing")
-    add_json_option(parser)
-
-
-def add_zero_options(parser: argparse.ArgumentParser, *, anew: bool = False) -> None:
-    """`--instrument-zeroed` and, with anew, `--new-zero`: facts about the axis's zero that only a person knows."""
-    parser.add_argument(
-        "--instrument-zeroed",
-        action="store_true",
-        help="the instrument was zeroed, or its beam was broken, since the axis was last measured: only the drive's zero ties both",
-    )
-    if anew:
-        parser.add_argument(
-            "--new-zero",
-            action="store_true",
-            help="take the axis's zero anew, also where it stands now (homing 35, 37); what was made in the old one is of no use then",
-        )
 
 
 def tell_bench(axis: DriveAxis) -> None:
@@ -61,42 +40,6 @@ def tell_zero(args: argparse.Namespace, machine: Machine) -> None:
     zero = machine.session.zero
     if zero is not None:
         zero.anew, zero.instrument_zeroed = said.anew, said.instrument_zeroed
-
-
-def seed(text: str) -> int:
-    """A `--seed` as an argparse type, 0 to 2**31 - 1. Raises ArgumentTypeError."""
-    if not (text.isascii() and text.isdecimal() and int(text) < 2**31):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number from 0 to {2**31 - 1}")
-    return int(text)
-
-
-def positive(text: str) -> float:
-    """A number > 0 as an argparse type. Raises ArgumentTypeError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
-    return value
-
-
-def add_password_options(parser: argparse.ArgumentParser, *, key: bool) -> None:
-    """Options for the passwords of the sealed store."""
-    parser.add_argument(
-        "--password-file", metavar="F", help=f"file with the tables' reading password (else ${READING}, else asked)"
-    )
-    parser.add_argument(
-        "--table-password",
-        metavar="NAME=F",
-        action="append",
-        default=[],
-        help=f"file with the own password of one table ({', '.join(TABLES)}); may be repeated, the others have the common one",
-    )
-    if key:
-        parser.add_argument(
-            "--key-password-file", metavar="F", help=f"file with the builder key's password (else ${KEY}, else asked)"
-        )
 
 
 def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> SealedStore:

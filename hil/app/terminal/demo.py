@@ -14,8 +14,7 @@ from drivers.clock import NS_PER_S
 from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.app.jobs.figures import error_figures
-from hil.app.terminal.axis_options import seed
-from hil.app.terminal.output import add_json_option, print_facts, write_json
+from hil.app.terminal.output import print_facts, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
@@ -29,14 +28,6 @@ from hil.diagnosis.loop.procedure import Loop, Turning, close_loop
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 
-EXAMPLE = """\
-example:
-  hil demo
-  hil demo --out /tmp/demo --seed 7     another machine
-
-A CiA-402 drive on a virtual CAN bus and a laser on a pseudo-terminal, over a simulated screw axis. It is calibrated cold; warm, it
-shows an error that no table holds. The loop finds its cause, adds it to the correction, and measures again.
-"""
 MARKER = "made-by-hil-demo"
 TURNING = Turning(Exploration(runs=4, rows=28, warm_up_s=180.0), most_further=0)
 
@@ -51,20 +42,6 @@ class Times:
 
     machine_s: float
     wall_s: float
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `hil demo`."""
-    parser = subparsers.add_parser(
-        "demo",
-        description="Calibrate, verify, diagnose, extend and verify again, on a simulated machine over real protocols.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--out", metavar="DIR", default="hil-demo", help="where to put everything (default hil-demo)")
-    parser.add_argument("--seed", type=seed, help="another simulated machine")
-    add_json_option(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -14,7 +14,7 @@ import os
 import re
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, NoReturn
 from drivers.errors import BridgeError, InputError, LocalError
 from drivers.undo import one_line
 from hil.app.error_log import ERRORS, ErrorLog, thread_errors_caught
+from hil.app.terminal.options import Later
 from hil.machine.interrupts import INTERRUPTED, ending_by_signals
 
 if TYPE_CHECKING:
@@ -31,44 +32,51 @@ if TYPE_CHECKING:
 
 VERBS = {
     "help": ("app.terminal.help", "the pages of the documentation: hil help TOPIC"),
-    "demo": ("app.terminal.demo", "the whole loop on the built-in bench"),
-    "scan": ("machine.commands.scan", "who is on the bus"),
-    "drives": ("machine.commands.drives", "ready drive files and their sources; a first axis file"),
-    "doctor": ("doctor.command", "preflight: drive, limits, instrument, units, speed"),
-    "calibrate": ("calibration.commands.calibrate", "measure, compute tables, store them sealed, prove them"),
-    "verify": ("calibration.commands.verify", "measure with the correction in force at other targets"),
-    "backlash": ("backlash.command", "lost motion from the servo's torque, without a position sensor"),
-    "lost-motion": ("lost_motion.command", "lost motion after a reversal: measure, fit, store, prove"),
-    "circle": ("lost_motion.circle.command", "two axes drive a circle: what lost motion does at the quadrants"),
-    "probe": ("probe.command", "a touch probe's run-out: measure, correct, centre a bore"),
+    "demo": ("app.terminal.demo_options", "the whole loop on the built-in bench"),
+    "scan": ("machine.commands.scan_options", "who is on the bus"),
+    "drives": ("machine.commands.drives_options", "ready drive files and their sources; a first axis file"),
+    "doctor": ("doctor.command_options", "preflight: drive, limits, instrument, units, speed"),
+    "calibrate": ("calibration.commands.calibrate_options", "measure, compute tables, store them sealed, prove them"),
+    "verify": ("calibration.commands.verify_options", "measure with the correction in force at other targets"),
+    "backlash": ("backlash.command_options", "lost motion from the servo's torque, without a position sensor"),
+    "lost-motion": ("lost_motion.command_options", "lost motion after a reversal: measure, fit, store, prove"),
+    "circle": ("lost_motion.circle.command_options", "two axes drive a circle: what lost motion does at the quadrants"),
+    "probe": ("probe.command_options", "a touch probe's run-out: measure, correct, centre a bore"),
     "params": (
-        "parameters.commands.params",
+        "parameters.commands.params_options",
         "drive parameters: back up, compare, download all or nothing, prove, keep",
     ),
     "straightness": (
-        "calibration.commands.straightness",
+        "calibration.commands.straightness_options",
         "straightness by the instrument, and the other axis moved against it",
     ),
-    "close-loop": ("diagnosis.loop.command", "calibrate, verify warm, diagnose, extend, measure again"),
-    "campaign": ("diagnosis.commands.campaign", "design a measuring campaign, or check what one can show"),
-    "diagnose": ("diagnosis.commands.diagnose", "trace what is left to an effect"),
-    "fit": ("diagnosis.commands.fit", "a baseline model from records"),
-    "apply": ("diagnosis.commands.apply", "the correction of a model for each row of records"),
-    "iso230": ("figures.commands.iso230", "the figures of ISO 230-2"),
-    "iso230-4": ("figures.commands.iso230_4", "the figures of ISO 230-4 of circular tests, driven here or imported"),
-    "records": ("records.command", "campaigns on disk: list, inspect, merge, export, history"),
-    "fleet": ("fleet.command", "many axes over years: index, what ages, comparison, causes"),
-    "report": ("app.report.command", "one HTML file from records: plots, ISO 230-2 figures, data"),
-    "export": ("correction.formats.commands.export", "the tables as a controller's file"),
-    "import": ("correction.formats.commands.import_", "a controller's table, or measurements of another program"),
-    "seal": ("correction.sealed.commands.seal", "lock files: encrypted, signed by the builder"),
-    "open": ("correction.sealed.commands.open_", "read a sealed file"),
-    "sign": ("correction.sealed.commands.sign", "sign a file with the builder's key, or make the key"),
-    "check": ("correction.sealed.commands.check", "check the builder's signature"),
+    "close-loop": ("diagnosis.loop.command_options", "calibrate, verify warm, diagnose, extend, measure again"),
+    "campaign": ("diagnosis.commands.campaign_options", "design a measuring campaign, or check what one can show"),
+    "diagnose": ("diagnosis.commands.diagnose_options", "trace what is left to an effect"),
+    "fit": ("diagnosis.commands.fit_options", "a baseline model from records"),
+    "apply": ("diagnosis.commands.apply_options", "the correction of a model for each row of records"),
+    "iso230": ("figures.commands.iso230_options", "the figures of ISO 230-2"),
+    "iso230-4": (
+        "figures.commands.iso230_4_options",
+        "the figures of ISO 230-4 of circular tests, driven here or imported",
+    ),
+    "records": ("records.command_options", "campaigns on disk: list, inspect, merge, export, history"),
+    "fleet": ("fleet.command_options", "many axes over years: index, what ages, comparison, causes"),
+    "report": ("app.report.command_options", "one HTML file from records: plots, ISO 230-2 figures, data"),
+    "export": ("correction.formats.commands.export_options", "the tables as a controller's file"),
+    "import": (
+        "correction.formats.commands.import__options",
+        "a controller's table, or measurements of another program",
+    ),
+    "seal": ("correction.sealed.commands.seal_options", "lock files: encrypted, signed by the builder"),
+    "open": ("correction.sealed.commands.open__options", "read a sealed file"),
+    "sign": ("correction.sealed.commands.sign_options", "sign a file with the builder's key, or make the key"),
+    "check": ("correction.sealed.commands.check_options", "check the builder's signature"),
     "panel": ("app.panel.command", "the operator's screen in a browser on loopback"),
     "sim": ("app.terminal.sim", "simulated drive and laser as processes on a real interface"),
 }
-"""Verb -> its module in `hil` and its line in the help, in the order of the help. A module is imported when its verb is called."""
+"""Verb -> the module in `hil` of its options and its line in the help, in the order of the help. It is imported when its verb is
+called, and what the verb runs after its options are read."""
 
 DONE, NOT_GOOD, BAD_INPUT = 0, 1, 2
 
@@ -109,14 +117,19 @@ def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
     return parser
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb; returns the process's exit status. argv: without the program's name, None for the process's own."""
+def main(argv: Sequence[str] | None = None, loaded: Callable[[], None] = lambda: None) -> int:
+    """Run one verb; returns the process's exit status. argv: without the program's name, None for the process's own; loaded: called
+    when what the verb runs is imported.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):  # a terminal without µ shows "?"
         sys.stdout.reconfigure(errors="replace")
     argv = sys.argv[1:] if argv is None else argv
     args, before, status, begun_s = argparse.Namespace(), None, None, time.time()
     try:
         args = build_parser(argv).parse_args(argv)
+        if isinstance(args.run, Later):
+            args.run.load()
+        loaded()
         before = _unfinished(args)
         with (
             _output_of(args),

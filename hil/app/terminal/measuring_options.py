@@ -10,32 +10,14 @@ from dataclasses import replace
 from pathlib import Path
 
 from drivers.errors import InputError
-from hil.app.terminal.axis_options import load_cross, positive
+from hil.app.terminal.axis_options import load_cross
 from hil.axis.axis_file import AxisConfig, InstrumentConfig
-from hil.calibration.in_motion import InMotion
-from hil.diagnosis.loop.jobs.plan import feeds_of
+from hil.calibration.in_motion_settings import InMotion
 from hil.machine.axes_wiring import connected_across
 from hil.machine.conditions import Conditions
 from hil.machine.replay import recorded, replayed
 from hil.machine.who_is_there import naming_who_is_there
 from hil.machine.wiring import Machine, connected
-
-
-def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """`--record` and `--replay`."""
-    recording = parser.add_mutually_exclusive_group()
-    recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
-    recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")
-
-
-def add_limit_option(parser: argparse.ArgumentParser) -> None:
-    """`--limit`: the largest accuracy A that is allowed."""
-    parser.add_argument(
-        "--limit",
-        metavar="UM",
-        type=positive,
-        help="largest accuracy A of ISO 230-2 that is allowed, µm (default: accuracy_limit_um of [correction], else no limit)",
-    )
 
 
 def limited(axis: AxisConfig, limit_um: float | None) -> AxisConfig:
@@ -86,33 +68,6 @@ def _tell_notes(machine: Machine) -> None:
     """What was found of the drive while it moved and nothing has told yet."""
     for note in machine.session.untold_notes():
         print(f"hil: {note}", file=sys.stderr)
-
-
-def add_in_motion_options(parser: argparse.ArgumentParser) -> None:
-    """`--stretch` and `--period`."""
-    usual = InMotion(())
-    parser.add_argument(
-        "--stretch",
-        metavar="MM",
-        type=float,
-        default=usual.stretch_mm,
-        help=f"of constant velocity in each pass (default {usual.stretch_mm:g})",
-    )
-    parser.add_argument(
-        "--period",
-        metavar="S",
-        type=float,
-        default=usual.period_s,
-        help=f"of the set-points in motion (default {usual.period_s:g})",
-    )
-
-
-def feeds(text: str) -> tuple[float, ...]:
-    """At least two feeds, mm/s, as an argparse type. Raises ArgumentTypeError."""
-    try:
-        return feeds_of(text)
-    except InputError as error:
-        raise argparse.ArgumentTypeError(error.what) from error
 
 
 def passes_of(args: argparse.Namespace, at: tuple[float, ...], instrument: InstrumentConfig) -> InMotion:

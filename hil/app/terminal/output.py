@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import io
 import json
 import math
@@ -66,15 +65,6 @@ def write_json(path: str | Path, obj: object) -> None:
         print(text, file=_json_to or sys.stdout)
         return
     replace_file(path, (text + "\n").encode("utf-8"))
-
-
-def add_json_option(parser: argparse.ArgumentParser) -> None:
-    """The `--json FILE` that every verb has."""
-    parser.add_argument(
-        "--json",
-        metavar="FILE",
-        help="also write the result as JSON to FILE; with - it alone is on standard output, the rest on stderr",
-    )
 
 
 def number(value: float | None, decimals: int = 2) -> str:

@@ -13,14 +13,13 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.files import read_text
+from hil.app.terminal.options import KEY, READING
 from hil.correction.sealed.errors import WrongKeyPasswordError, WrongPasswordError
 from hil.correction.sealed.keys import NEW_CHARACTERS, require_strong
 from hil.records.files import split_lines
 
 MOST_BYTES = 1 << 20
 """Longest password file."""
-READING = "HIL_PASSWORD"
-KEY = "HIL_KEY_PASSWORD"
 MEANING = {
     READING: "opens the sealed tables; whoever made them chose it (`hil demo` writes its own to hil-demo/password)",
     KEY: "opens the builder's private key, with which tables, reports and certificates are signed; it was chosen with"
@@ -32,32 +31,6 @@ NEW_MEANING = {
     KEY: "will open the builder's private key, with which tables, reports and certificates are signed",
 }
 """The same of a password that is chosen now."""
-
-
-def add_reading_options(parser: argparse.ArgumentParser) -> None:
-    """Options for the password(s) of the entries of a sealed file."""
-    parser.add_argument(
-        "--password-file",
-        metavar="F",
-        help=f"file whose first line is the reading password (else ${READING}, else asked)",
-    )
-    parser.add_argument(
-        "--entry-password",
-        metavar="NAME=F",
-        action="append",
-        default=[],
-        help="an own password for one entry, from the first line of file F; may be repeated",
-    )
-
-
-def add_key_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
-    """Options for the builder's private key and its password."""
-    parser.add_argument("--key", metavar="BUILDER.key", required=required, help="the builder's private key")
-    parser.add_argument(
-        "--key-password-file",
-        metavar="F",
-        help=f"file whose first line is the key's password (else ${KEY}, else asked)",
-    )
 
 
 def read_password_file(path: str | Path) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,46 +17,9 @@ from hil.records.journal import MARKER
 from hil.records.rows import Records, concatenate, read_csv
 
 
-def add_effects_option(parser: argparse.ArgumentParser) -> None:
-    """`--effects FILE.py`."""
-    parser.add_argument(
-        "--effects",
-        metavar="FILE.py",
-        action="append",
-        default=[],
-        help="Python code of yours with EFFECTS = (MyEffect(), …), run and used beside the catalogue; may be repeated",
-    )
-
-
 def read_effects(paths: Sequence[str]) -> tuple[Effect, ...]:
     """The catalogue and the effects of installed packages and of the files. Raises InputError naming the file."""
     return catalogue_with(paths)
-
-
-RUNS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*")
-
-
-def add_records_argument(parser: argparse.ArgumentParser) -> None:
-    """`RECORDS.csv …` and `--runs 1-3`."""
-    parser.add_argument(
-        "records", metavar="RECORDS.csv", nargs="+", help="measurement records: run, direction, target_mm, measured_mm"
-    )
-    parser.add_argument("--runs", metavar="1-3", type=parse_runs, help="only these runs, e.g. 1-3 or 1,4,6-8")
-
-
-def parse_runs(text: str) -> tuple[int, ...]:
-    """'1-3,5' as run numbers. Raises argparse's error."""
-    if not RUNS.fullmatch(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is no list of runs, expected e.g. 1-3 or 1,4,6-8")
-    runs: list[int] = []
-    for part in text.split(","):
-        first, _, last = part.partition("-")
-        if last and int(last) < int(first):
-            raise argparse.ArgumentTypeError(f"{part!r} runs backwards")
-        if len(part) > len("10000-20000"):
-            raise argparse.ArgumentTypeError(f"{part!r} is no run of a campaign, expected numbers below 100000")
-        runs.extend(range(int(first), int(last or first) + 1))
-    return tuple(runs)
 
 
 def read_records(paths: Sequence[str | Path], runs: tuple[int, ...] | None = None) -> Records:

@@ -8,26 +8,11 @@ from typing import Any
 from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.app.jobs.figures import error_figures
-from hil.app.terminal.axis_options import (
-    add_axis_arguments,
-    add_password_options,
-    add_zero_options,
-    load_stored,
-    open_store,
-    print_plan,
-    seed,
-    tell_zero,
-)
-from hil.app.terminal.measuring_options import (
-    add_limit_option,
-    add_recording_options,
-    limited,
-    machine_of,
-    recording_name,
-)
+from hil.app.terminal.axis_options import load_stored, open_store, print_plan, tell_zero
+from hil.app.terminal.measuring_options import limited, machine_of, recording_name
 from hil.app.terminal.output import print_facts, write_json
 from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.records_input import add_effects_option, read_effects
+from hil.app.terminal.records_input import read_effects
 from hil.app.terminal.summary import print_accuracy, print_stages
 from hil.axis.axis_file import accuracy_of, load_axis, uncertainty_of
 from hil.calibration.job import band_sentence, run_verification, verification_plan
@@ -35,40 +20,6 @@ from hil.calibration.straightness import straightness_in
 from hil.figures.commands.iso230 import print_figures
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget_um
-
-EXAMPLE = """\
-example:
-  hil verify X.toml
-  hil verify X.toml --report verified.html --seed 3
-  hil verify X.toml --record machine.csv          drive and instrument, recorded together
-  hil verify X.toml --replay machine.csv          the same again from the recording: nothing is connected
-
-  hil verify X.toml --limit 8                     A against 8 µm, in place of the axis file's accuracy_limit_um
-
-The verdict: the accuracy A of ISO 230-2 at these targets with its uncertainty U (k = 2) against the limit, by ISO 14253-1.
-The bench (backend "bench") starts anew with each command: cold, and with its own parameters.
-Exit status 1: A fails the limit or is undecided; or sections lie outside the band of the axis file, and are named.
-"""
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil verify`."""
-    parser = subparsers.add_parser(
-        "verify",
-        description="Prove a calibration: measure with the stored correction in force, at targets between its own.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_axis_arguments(parser)
-    parser.add_argument("--seed", type=seed, default=1, help="chooses the other targets (default 1)")
-    parser.add_argument("--resume", action="store_true", help="continue an interrupted verification")
-    add_limit_option(parser)
-    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
-    add_zero_options(parser)
-    add_recording_options(parser)
-    add_password_options(parser, key=False)
-    add_effects_option(parser)
-    parser.set_defaults(run=run, resumes="verify")
 
 
 def run(args: argparse.Namespace) -> int:

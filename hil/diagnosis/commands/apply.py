@@ -8,44 +8,12 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import add_json_option, print_facts, write_json
-from hil.app.terminal.records_input import (
-    add_effects_option,
-    add_records_argument,
-    read_effects,
-    read_model,
-    read_records,
-)
+from hil.app.terminal.output import print_facts, write_json
+from hil.app.terminal.records_input import read_effects, read_model, read_records
 from hil.effects.non_parametric import without_cause
 from hil.effects.user_effects import attributing_errors
 from hil.effects.warming import goes_beyond_what_was_seen, is_bounded
 from hil.records.rows import to_csv
-
-EXAMPLE = """\
-example:
-  hil apply --model model.json records.csv --out corrected.csv
-
-OUT.csv holds the rows with two columns more: correction_um, what the model adds to the command of that row from what is
-known when the row is commanded; residual_um, the error of the uncorrected machine (measured - command) plus that correction.
-"""
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil apply`."""
-    parser = subparsers.add_parser(
-        "apply",
-        description="Apply a model of `hil fit` or `hil diagnose` to records.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "--model", metavar="MODEL", required=True, help="model file of `hil fit` or `hil diagnose --out`"
-    )
-    add_records_argument(parser)
-    parser.add_argument("--out", metavar="OUT.csv", required=True, help="the records with two columns added")
-    add_effects_option(parser)
-    add_json_option(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,9 +9,8 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import seed
-from hil.app.terminal.output import add_json_option, print_facts, print_table, write_json
-from hil.app.terminal.records_input import add_effects_option, add_records_argument, read_effects, read_records
+from hil.app.terminal.output import print_facts, print_table, write_json
+from hil.app.terminal.records_input import read_effects, read_records
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.diagnosis.loop.next_run import means_of_measurement
 from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign, repeats_of
@@ -19,51 +18,6 @@ from hil.diagnosis.next.design import design, plan_minutes
 from hil.diagnosis.next.planned_run import Means, Point
 from hil.diagnosis.next.plans import to_plan
 from hil.effects.user_effects import attributing_errors, check_on
-
-EXAMPLE = """\
-example:
-  hil campaign design X.toml --minutes 90 --out plan.csv
-  hil close-loop X.toml --plan plan.csv
-  hil campaign check records.csv --axis X.toml --json check.json
-
-Exit status 1: check found effects that the campaign cannot show.
-"""
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil campaign` with its jobs."""
-    parser = subparsers.add_parser(
-        "campaign",
-        description="Plan measurements that make effects visible, or list what a measured campaign cannot show.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
-    plan = jobs.add_parser(
-        "design",
-        help="write a plan for an axis",
-        description="Targets off the grid and off the pitch, in mixed order, with repeats, turns, feeds, warm-up and what can be set.",
-        epilog="example:\n  hil campaign design X.toml --minutes 90 --out plan.csv",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    plan.add_argument("axis", metavar="AXIS.toml", help="the axis file")
-    plan.add_argument("--out", metavar="PLAN.csv", required=True, help="the plan; `hil close-loop --plan` measures it")
-    plan.add_argument("--minutes", type=_minutes, default=120.0, help="limit of the machine time (default 120)")
-    plan.add_argument("--seed", type=seed, default=0, help="determines targets and order (default 0)")
-    add_json_option(plan)
-    plan.set_defaults(run=run_design)
-    check = jobs.add_parser(
-        "check",
-        help="list what a campaign cannot show",
-        description="Too few repeats, targets in step with a pitch, effects that a table holds or that look alike, missing columns.",
-        epilog="example:\n  hil campaign check records.csv --axis X.toml",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_records_argument(check)
-    check.add_argument("--axis", metavar="AXIS.toml", help="the axis file: its pitch is checked, instead of usual ones")
-    add_effects_option(check)
-    add_json_option(check)
-    check.set_defaults(run=run_check)
 
 
 def run_design(args: argparse.Namespace) -> int:
@@ -129,13 +83,3 @@ def print_check(check: CampaignCheck) -> None:
     )
     if check.gaps:
         print_table(["gap", ("what these rows cannot show", "left")], [[gap.kind, gap.what] for gap in check.gaps])
-
-
-def _minutes(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 1e5:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected minutes, more than 0")
-    return value

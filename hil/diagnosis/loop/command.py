@@ -8,27 +8,11 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import (
-    add_axis_arguments,
-    add_password_options,
-    add_zero_options,
-    open_store,
-    print_dry_run,
-    tell_zero,
-)
-from hil.app.terminal.measuring_options import (
-    add_in_motion_options,
-    add_limit_option,
-    add_recording_options,
-    feeds,
-    limited,
-    machine_of,
-    passes_of,
-    recording_name,
-)
+from hil.app.terminal.axis_options import open_store, print_dry_run, tell_zero
+from hil.app.terminal.measuring_options import limited, machine_of, passes_of, recording_name
 from hil.app.terminal.output import write_json
 from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.records_input import add_effects_option, read_effects
+from hil.app.terminal.records_input import read_effects
 from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration
@@ -42,65 +26,6 @@ from hil.diagnosis.next.plans import read_plan
 from hil.effects.user_effects import attributing_errors
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
-
-EXAMPLE = """\
-example:
-  hil close-loop X.toml --report loop.html
-  hil close-loop X.toml --resume
-  hil close-loop X.toml --plan plan.csv --person none
-  hil close-loop X.toml --record machine.csv      drive and instrument, recorded together; --replay plays them again
-  hil close-loop X.toml --feeds 20,60,110 --stretch 60
-
-Where two causes fit the residual, the measurement that separates them best for its time is made next: automatically
-where the axis can, after asking where a person has to help. With --feeds, a second turn is made in motion, for effects that cannot
-be seen at rest; the drive must take set-points in its cycle. Where the axis file does not state the instrument's latency
-(latency_s), it is measured before. Exit status 1: structure remains that no effect of the
-catalogue explains, a measurement waits for a person, the axis did not improve, or the accuracy A at other targets, measured last,
-fails its limit or is undecided.
-"""
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil close-loop`."""
-    parser = subparsers.add_parser(
-        "close-loop",
-        description="Trace the residual error of a calibration to an effect, add that effect, and prove it on the machine.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    add_axis_arguments(parser)
-    parser.add_argument("--resume", action="store_true", help="continue an interrupted loop")
-    parser.add_argument("--runs", type=int, default=8, help="runs of each exploring campaign (default 8)")
-    parser.add_argument("--rows", type=int, default=42, help="positions of each run (default 42)")
-    parser.add_argument(
-        "--warm-up", metavar="S", type=float, default=240.0, help="mean seconds of strokes, or rest, between runs"
-    )
-    parser.add_argument(
-        "--without-proof",
-        action="store_true",
-        help="do not measure A of ISO 230-2 afterwards; `hil verify` does it later",
-    )
-    add_limit_option(parser)
-    parser.add_argument("--report", metavar="FILE.html", help="also write a report")
-    parser.add_argument(
-        "--plan", metavar="PLAN.csv", help="explore by this plan (`hil campaign design`) instead of --runs and --rows"
-    )
-    parser.add_argument(
-        "--person",
-        choices=("ask", "none"),
-        help="whether to ask a person at the machine for measurements that need one; default: ask on a terminal",
-    )
-    _add_in_motion(parser)
-    add_zero_options(parser)
-    add_recording_options(parser)
-    add_effects_option(parser)
-    add_password_options(parser, key=True)
-    parser.set_defaults(run=run, resumes="close-loop")
-
-
-def _add_in_motion(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--feeds", metavar="MM_S", type=feeds, help="then passes at these feeds, e.g. 20,60,110 (mm/s)")
-    add_in_motion_options(parser)
 
 
 def run(args: argparse.Namespace) -> int:

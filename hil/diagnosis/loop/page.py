@@ -13,7 +13,8 @@ from hil.app.panel.view import View
 from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, feeds_of, passes_at
+from hil.calibration.in_motion_settings import feeds_of
+from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at
 from hil.diagnosis.page_data import DiagnosisScreen
 from hil.diagnosis.stored import measurement_of
 

@@ -23,7 +23,8 @@ from drivers.errors import InputError
 from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.explore import Exploration, ExploringRun, explore, plan_runs
-from hil.calibration.in_motion import InMotion, check_passes, measure_in_motion, plan_passes
+from hil.calibration.in_motion import check_passes, measure_in_motion, plan_passes
+from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.latency import dated
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet

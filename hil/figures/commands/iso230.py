@@ -6,34 +6,11 @@ import argparse
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from hil.app.terminal.output import add_json_option, number, print_table, write_json
+from hil.app.terminal.output import number, print_table, write_json
 from hil.figures.iso230 import FIGURES, MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES, Iso230, iso230
 from hil.figures.verdict import accuracy
 from hil.records.files import naming
 from hil.records.rows import read_csv
-
-EXAMPLE = """\
-example:
-  hil iso230 records.csv
-  hil iso230 records.csv --json figures.json
-
-The deviation of a row is measured - target: with a correction in force, the figures are those of the corrected axis.
-"""
-
-
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `hil iso230`."""
-    parser = subparsers.add_parser(
-        "iso230",
-        description="Accuracy and repeatability of positioning of a linear axis by ISO 230-2:2014.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument(
-        "records", metavar="RECORDS.csv", help="measurement records: run, direction, target_mm, measured_mm"
-    )
-    add_json_option(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -11,8 +11,8 @@ from drivers.modbus.map_facts import Origin
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import Register, find_map, shipped_maps
 from hil.app.terminal.output import Align, print_facts, print_table, write_json
+from hil.machine.commands.first_axis_file import CANOPEN
 
-CANOPEN = "canopen"
 """Name of the drive file of every CiA-402 drive on CANopen, which describes itself."""
 _STRENGTHS = (
     "strength: maker, run (ran on the drive), notes (from the manual), assumed, general (knowledge without a source);"

@@ -12,6 +12,9 @@ from drivers.drive_notes import AxisFileKey
 from drivers.errors import InputError
 from drivers.scaling import AxisScaling, ReportedScaling
 
+CANOPEN = "canopen"
+"""The name of a drive that describes itself, in place of a drive file's."""
+
 
 @dataclass(frozen=True)
 class Question:

@@ -12,7 +12,8 @@ from drivers.raw_parameters import WireTime
 from hil.app.terminal.axis_options import tell_bench
 from hil.app.terminal.output import Align, print_table, times, write_json
 from hil.axis.axis_file import DriveAxis
-from hil.parameters.commands.params import add_job, ask_person, load_axes, progress_bars, sets_of
+from hil.parameters.commands.params import ask_person, load_axes, progress_bars, sets_of
+from hil.parameters.commands.params_options import add_job
 from hil.parameters.compare import Comparison, Side
 from hil.parameters.formats import FORMATS
 from hil.parameters.job import (

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import InputError
 from hil.app.jobs.plan import Move, Plan, Write, measuring_plan
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion import InMotion
+from hil.calibration.in_motion_settings import InMotion
 from hil.machine.measure import bidirectional_steps
 from hil.records.journal import Campaign
 
@@ -45,20 +43,6 @@ def loop_plan(axis: AxisConfig, exploration: Exploration, in_motion: InMotion | 
         moves.append(Move(f"feeds {feeds}", low, high, max(in_motion.feeds_mm_s)))
     explored = 2 * exploration.runs * exploration.rows
     return replace(plan, moves=tuple(moves), positions=2 * len(steps) + explored)
-
-
-def feeds_of(text: str) -> tuple[float, ...]:
-    """Feeds, mm/s, from text: at least two, separated by commas, or by semicolons where a comma is a decimal mark.
-    Raises InputError.
-    """
-    parts = text.replace(",", ".").split(";") if ";" in text else text.split(",")
-    try:
-        found = tuple(float(part) for part in parts)
-    except ValueError:
-        found = ()
-    if len(set(found)) < 2 or not all(0 < feed < math.inf for feed in found):
-        raise InputError(f"{text!r}, expected at least two different feeds above 0 mm/s, e.g. 20,60,110")
-    return found
 
 
 def passes_at(axis: AxisConfig, feeds_mm_s: tuple[float, ...]) -> InMotion:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import signal
 import subprocess
 import sys
 import threading
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -16,6 +18,7 @@ from support.toy_axis import ToyDrive, ToyMachine
 
 from hil.app.error_log import MOST_BYTES, ErrorLog
 from hil.app.terminal import main as entry
+from hil.app.terminal.options import Later
 from hil.app.terminal.progress import telling_notes
 
 RECORDS = "run,direction,target_mm,measured_mm\n" + "".join(
@@ -66,24 +69,51 @@ def test_ctrl_c_while_the_program_loads_ends_it_without_a_traceback(records: Pat
     assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "")
 
 
-HEAVY = {"numpy", "scipy", "matplotlib", "can", "canopen", "pymodbus", "serial", "cryptography", "rich", "nicegui"}
+WIRES = {"can", "canopen", "pymodbus", "serial"}
+HEAVY = {"numpy", "scipy", "matplotlib", "cryptography", "rich", "nicegui", "msgspec", *WIRES}
+
+
+HELP = """
+import contextlib, io, sys
+from hil.app.terminal.main import build_parser
+for argv in sys.argv[1:]:
+    with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
+        build_parser(argv.split()).parse_args([*argv.split(), "--help"])
+print(*sys.modules)
+"""
+SIMULATES = {"can", "canopen"}
+"""`hil sim` lists the faults of its simulated drive in its help."""
 
 
 @pytest.mark.outside
 @pytest.mark.parametrize(
-    ("verb", "absent"),
+    ("verbs", "absent"),
     [
-        ("--help", HEAVY),
-        ("nonsense", HEAVY),
-        ("sim", {"scipy", "numpy", "pymodbus"}),
-        ("scan", {"scipy", "matplotlib"}),
+        (
+            ["", "nonsense", "help", "doctor", "calibrate", "verify", "circle", "close-loop", "straightness", "demo"],
+            HEAVY,
+        ),
+        (["scan", "campaign", "diagnose", "fit", "apply", "iso230", "iso230-4", "fleet", "params"], HEAVY),
+        ([verb for verb in entry.VERBS if verb != "sim"], WIRES | {"scipy", "matplotlib", "nicegui"}),
+        (["sim"], WIRES - SIMULATES | {"scipy", "matplotlib", "nicegui"}),
     ],
 )
-def test_a_verb_loads_what_it_needs_and_no_more(verb: str, absent: set[str]) -> None:
-    """The help is a list of lines; starting a simulated part takes as long as its own modules take, not those of the diagnosis."""
-    look = "import sys; from hil.app.terminal.main import load_verb; load_verb(sys.argv[1:]); print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", look, verb], capture_output=True, text=True, check=True)
+def test_the_help_of_a_verb_loads_neither_wires_nor_what_computes(verbs: list[str], absent: set[str]) -> None:
+    done = subprocess.run([sys.executable, "-c", HELP, *verbs], capture_output=True, text=True, check=True)
     assert not set(done.stdout.split()) & absent
+
+
+def _sub_verbs(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
+    below = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return [parser, *(one for action in below for each in action.choices.values() for one in _sub_verbs(each))]
+
+
+def test_what_a_verb_runs_is_there() -> None:
+    """Named by module and function, and imported when the verb runs."""
+    parsers = [one for verb in entry.VERBS for one in _sub_verbs(entry.build_parser([verb]))]
+    runs = [run for one in parsers if isinstance(run := one.get_default("run"), Later)]
+    assert len(runs) > len(entry.VERBS)
+    assert all(callable(getattr(import_module(run.module), run.name)) for run in runs)
 
 
 @pytest.mark.parametrize("verb", entry.VERBS)

@@ -14,8 +14,9 @@ from drivers.errors import InputError
 from hil.app.jobs.identity import identity
 from hil.app.terminal import main as terminal
 from hil.app.terminal.axis_options import tell_bench
+from hil.app.terminal.options import KEY, READING
 from hil.app.terminal.output import binding_facts, print_table, times, write_json
-from hil.app.terminal.passwords import KEY, MEANING, READING, password, password_source
+from hil.app.terminal.passwords import MEANING, password, password_source
 from hil.axis.axis_file import load_axis
 from hil.correction.sealed import Binding, WrongKeyPasswordError, WrongPasswordError
 from hil.doctor.procedure import Check

@@ -14,12 +14,12 @@ from drivers.errors import InputError
 from hil.app.desk.campaigns import axis_history, measurements, reports
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion import InMotion
+from hil.calibration.in_motion_settings import InMotion, feeds_of
 from hil.calibration.job import with_signs
 from hil.calibration.page_data import calibration_screen, latest
 from hil.correction.manual import read_signs
 from hil.correction.tables import Band, SingleTable
-from hil.diagnosis.loop.jobs.plan import feeds_of, unfinished_loop
+from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.page_data import diagnosis_screen
 from hil.diagnosis.stored import measurement_of, read_stored, sources
