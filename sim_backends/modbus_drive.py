@@ -63,7 +63,8 @@ class ModbusServer:
         self.faces = dict(faces)
         self.faults = WireFaultPlan(faults)
         self.requests = 0
-        self.catch_up: Callable[[], None] = lambda: None  # in real time: advance the machine to the present before an answer
+        # in real time: advance the machine to the present before an answer
+        self.catch_up: Callable[[], None] = lambda: None
         self.seen: list[tuple[int, bytes]] = []  # (unit, PDU) of every request, for tests
         self._remember = remember
         self._now_ns = 0
