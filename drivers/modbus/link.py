@@ -36,20 +36,10 @@ from drivers.errors import (
     ProtocolError,
     TransportError,
 )
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint
 from drivers.modbus.plan import Span, Table, WireCost, silent_interval_s
 from drivers.modbus.way_out import WayOut
-from drivers.modbus.wire import (
-    ACKNOWLEDGE,
-    BUSY,
-    NO_PATH,
-    NO_TARGET,
-    Endpoint,
-    Function,
-    PymodbusWire,
-    Request,
-    RtuEndpoint,
-    Wire,
-)
+from drivers.modbus.wire import ACKNOWLEDGE, BUSY, NO_PATH, NO_TARGET, Function, PymodbusWire, Request, Wire
 
 _SILENCE_S = 0.01  # real time without a byte after which a serial line counts as quiet, s
 

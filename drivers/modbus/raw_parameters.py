@@ -23,13 +23,13 @@ from drivers.errors import (
 )
 from drivers.modbus.codec import RegisterType, decode, encode
 from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.endpoint import RtuEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.parameters import ModbusParameters, kind_of
 from drivers.modbus.plan import ReadRequest, WireCost, group_writes
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, Register
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import RtuEndpoint
 from drivers.parameters import ParameterInfo, ParameterValue
 from drivers.raw_parameters import (
     Access,

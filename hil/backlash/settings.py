@@ -5,17 +5,18 @@ other drive. A drive that has none is compensated by the axis's sealed tables.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
 
-from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.not_parameters import MOTION_TARGETS, NOT_PARAMETERS
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError, InputError, ProtocolError, StateError
-from drivers.modbus.parameters import ModbusParameters
-from drivers.modbus.register_map import Memory
 from drivers.parameters import DriveParameters
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import BacklashConfig, object_key
 from hil.backlash.neutral_settings import BacklashSettings, Setting
+
+if TYPE_CHECKING:
+    from drivers.canopen.drive import CanOpenDrive
 
 NOTE = "backlash-before.json"
 _TABLES_RESOLUTION_UM = 0.1
@@ -97,20 +98,36 @@ def backlash_settings(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -
         if how.acceleration is not None:
             raise InputError("[backlash] names acceleration without parameter, expected both or none", path=axis.path)
         return BacklashSettings(NoSetting(), 1.0, None, directory / NOTE, how.scale)
-    amount = _of_drive(drive, how.parameter)
-    acceleration = None if how.acceleration is None else _of_drive(drive, how.acceleration)
+    of_drive = partial(_registers if axis.drive.register_map else _of_drive, drive)
+    amount = of_drive(how.parameter)
+    acceleration = None if how.acceleration is None else of_drive(how.acceleration)
     return BacklashSettings(amount, how.parameter_um, acceleration, directory / NOTE, how.scale)
 
 
 def _of_drive(drive: ServoDrive, name: str) -> Setting:
     key = object_key(name)
-    if isinstance(drive, CanOpenDrive) and key is not None:
-        if key[0] in MOTION_TARGETS or key[0] in NOT_PARAMETERS or key[0] < 0x2000:
-            raise CapabilityError(f"drive {drive.name}: {name} is no parameter of backlash; nothing was written")
-        return ObjectSetting(drive, name, key)
-    parameters = drive.parameters
-    if not parameters.describe(name).writable:
+    if key is not None:
+        from drivers.canopen.drive import CanOpenDrive  # noqa: PLC0415  (a verb loads the wire its axis file names)
+        from drivers.canopen.not_parameters import MOTION_TARGETS, NOT_PARAMETERS  # noqa: PLC0415  (as above)
+
+        if isinstance(drive, CanOpenDrive):
+            if key[0] in MOTION_TARGETS or key[0] in NOT_PARAMETERS or key[0] < 0x2000:
+                raise CapabilityError(f"drive {drive.name}: {name} is no parameter of backlash; nothing was written")
+            return ObjectSetting(drive, name, key)
+    return NamedSetting(_writable(drive, name), name, 1.0)
+
+
+def _writable(drive: ServoDrive, name: str) -> DriveParameters:
+    if not drive.parameters.describe(name).writable:
         raise CapabilityError(f"drive {drive.name}: {name} cannot be written")
+    return drive.parameters
+
+
+def _registers(drive: ServoDrive, name: str) -> Setting:
+    from drivers.modbus.parameters import ModbusParameters  # noqa: PLC0415  (as above)
+    from drivers.modbus.register_map import Memory  # noqa: PLC0415  (as above)
+
+    parameters = _writable(drive, name)
     if not isinstance(parameters, ModbusParameters):
         return NamedSetting(parameters, name, 1.0)
     register = parameters.register(name)

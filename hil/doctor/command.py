@@ -19,7 +19,7 @@ from hil.calibration.latency import ENOUGH_S, measure_latency
 from hil.doctor.procedure import Check, doctor, reach_mm
 from hil.figures.alignment import Alignment
 from hil.machine.who_is_there import naming_who_is_there
-from hil.machine.wiring import Machine, check_registers, connected, connected_registers
+from hil.machine.wiring import Machine, connected, connected_registers
 from hil.records.journal import Campaign
 
 
@@ -29,7 +29,10 @@ def run(args: argparse.Namespace) -> int:
     if args.probe_order is not None:
         return _probe_order(args, axis)
     if args.dry_run:
-        check_registers(axis)
+        if axis.drive.backend == "modbus":
+            from hil.machine.modbus_wiring import check_registers  # noqa: PLC0415  (a verb loads the wire its axis file names)
+
+            check_registers(axis)
         what = (
             "move nothing" if args.no_move else f"enable it and move it by up to {reach_mm(axis.limits):g} mm and back"
         )

@@ -6,12 +6,10 @@ What concerns a single axis is in `hil.machine.wiring`.
 
 from __future__ import annotations
 
-import uuid
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from drivers.canopen.bus import CanLink
 from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import InputError
@@ -19,29 +17,17 @@ from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.axis.zero import zero_keeper
 from hil.correction.bound import CAREFUL
 from hil.machine.axis_lock import held_axis
-from hil.machine.bench_conditions import BenchConditions
 from hil.machine.conditions import Conditions
 from hil.machine.cross_axis import CrossAxis
-from hil.machine.instruments import build_instrument, with_instrument
+from hil.machine.instruments import build_instrument
 from hil.machine.interrupts import ending_by_signals
+from hil.machine.links import Links
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import (
-    Links,
-    Machine,
-    add_bench_node,
-    bench_modbus,
-    bench_parameters,
-    canopen_drive,
-    check_bench,
-    hardware_drive,
-    modbus_drive,
-    session_of,
-    virtual_drive,
-)
-from sim_backends.bench import Bench, BenchParameters
-from sim_backends.canopen_in_turn import drives_in_turn
-from sim_backends.clock import SimClock
+from hil.machine.wiring import Machine, hardware_drive, session_of
+
+if TYPE_CHECKING:
+    from sim_backends.bench import BenchParameters
 
 RUN_IN_MM = 1.0
 """By which an axis without [measurement] comes to its place from below: the usual overrun_mm."""
@@ -65,7 +51,9 @@ def connected_axes(
         for axis in axes:
             stack.enter_context(held_axis(axis))
         if axes[0].drive.backend == "bench":
-            machines = _on_bench(axes, benches or [bench_parameters(axis) for axis in axes], stack, waiting)
+            from hil.machine.bench_wiring import bench_machines  # noqa: PLC0415  (a verb loads the wire its axis file names)
+
+            machines = bench_machines(axes, benches, stack, waiting)
         else:
             machines = _on_hardware(axes, stack, waiting)
         for one in machines:
@@ -103,18 +91,16 @@ def connected_across(
         stack.enter_context(held_axis(axis))
         stack.enter_context(held_axis(other))
         if axis.drive.backend == "bench":
-            clock = SimClock(waiting=waiting)
-            parameters = [with_instrument(bench_parameters(axis), axis.instrument), bench_parameters(other)]
-            benches = _benches([axis, other], parameters, clock, stack)
-            drives = _bench_drives([axis, other], benches, clock, stack)
-            machine = _bench_machine(axis, benches[0], drives[0])
+            from hil.machine.bench_wiring import bench_across  # noqa: PLC0415  (a verb loads the wire its axis file names)
+
+            machine, drive = bench_across(axis, other, stack, waiting)
         else:
             wall, links = WallClock(waiting), Links()
-            drives = [hardware_drive(one, wall, stack, links) for one in (axis, other)]
+            own, drive = (hardware_drive(one, wall, stack, links) for one in (axis, other))
             instrument = build_instrument(axis.instrument, axis.instrument.port, wall)
-            machine = Machine(axis, session_of(axis, drives[0], instrument, conditions))
+            machine = Machine(axis, session_of(axis, own, instrument, conditions))
         session = machine.session
-        session.cross = _cross_axis(other, drives[1], config.at_mm)
+        session.cross = _cross_axis(other, drive, config.at_mm)
         session.supervisor.beside = (session.cross.axis,)
         session.cross.supervisor.beside = (session.axis,)
         stack.enter_context(session.cross)
@@ -147,53 +133,3 @@ def _on_hardware(axes: Sequence[AxisConfig], stack: ExitStack, waiting: Waiting 
         Machine(axis, session_of(axis, drive, instrument, None))
         for axis, drive, instrument in zip(axes, drives, instruments, strict=True)
     )
-
-
-def _on_bench(
-    axes: Sequence[AxisConfig], parameters: Sequence[BenchParameters], stack: ExitStack, waiting: Waiting | None
-) -> tuple[Machine, ...]:
-    clock = SimClock(waiting=waiting)
-    wanted = [with_instrument(one, axis.instrument) for axis, one in zip(axes, parameters, strict=True)]
-    benches = _benches(axes, wanted, clock, stack)
-    drives = _bench_drives(axes, benches, clock, stack)
-    return tuple(_bench_machine(*each) for each in zip(axes, benches, drives, strict=True))
-
-
-def _benches(
-    axes: Sequence[DriveAxis], parameters: Sequence[BenchParameters], clock: SimClock, stack: ExitStack
-) -> list[Bench]:
-    """The simulated axes of one machine; two are at right angles."""
-    for axis, wanted in zip(axes, parameters, strict=True):
-        check_bench(axis, wanted)
-    benches = [stack.enter_context(Bench(wanted, clock=clock)) for wanted in parameters]
-    if len(benches) == 2:
-        benches[0].cross(benches[1])
-    return benches
-
-
-def _bench_machine(axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
-    instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
-    return Machine(
-        axis, session_of(axis, drive, instrument, BenchConditions(bench.plant, axis.conditions.levels)), bench
-    )
-
-
-def _bench_drives(
-    axes: Sequence[DriveAxis], benches: Sequence[Bench], clock: SimClock, stack: ExitStack
-) -> list[ServoDrive]:
-    """Drives for the simulated servos on the wire that the axis files name: nodes 1, 2 … of one bus, units 1, 2 … of one line."""
-    pairs = list(zip(axes, benches, strict=True))
-    face = axes[0].drive.face
-    if face == "virtual":
-        return [virtual_drive(axis, bench) for axis, bench in pairs]
-    if face == "canopen":
-        place = ("virtual", f"bench-{uuid.uuid4().hex}")
-        bus = stack.enter_context(drives_in_turn(clock, place[1]))
-        for number, (axis, bench) in enumerate(pairs, start=1):
-            add_bench_node(bus, axis, bench, number)
-        links = Links({place: stack.enter_context(CanLink(bus.master(), clock))})
-        nodes = [replace(axis, drive=replace(axis.drive, node_id=n)) for n, axis in enumerate(axes, start=1)]
-        return [canopen_drive(axis, clock, place, stack, links=links) for axis in nodes]
-    endpoint = bench_modbus(dict(enumerate(pairs, start=1)), clock, stack)
-    shared = Links()
-    return [modbus_drive(axis, clock, endpoint, unit, shared) for unit, axis in enumerate(axes, start=1)]

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
 from drivers.errors import InputError
-from drivers.modbus.wire import Endpoint, TcpEndpoint, parse_endpoint
+from drivers.modbus.endpoint import Endpoint, TcpEndpoint, parse_endpoint
 from hil.axis.axis_file import DriveAxis
 from hil.records.files import held_by_name, held_place
 

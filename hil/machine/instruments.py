@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from drivers import ciddor
 from drivers import edlen as air
 from drivers.clock import Clock
-from drivers.errors import InputError
 from drivers.instrument import DistanceInstrument
 from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
 from drivers.instruments.gauge import Gauge
@@ -18,14 +15,6 @@ from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import Beside, FixedAir, Optics, UmdLaser, UmdSettings
 from drivers.instruments.values import ValueProtocol
 from hil.axis.axis_file import DisplayConfig, InstrumentConfig
-from sim_backends.bench import BenchParameters
-from sim_backends.gauge import GaugeParameters
-
-PULSES_HZ = 10.0
-"""Rate of the bench's pulse generator on the external input of a display, Hz."""
-
-STRAIGHTNESS = "straightness_um"
-"""The column of [instrument] beside for which the bench has straightness optics, on axis 2 of its display."""
 
 
 def build_instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
@@ -75,23 +64,3 @@ def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
         air_equation=ciddor.refractive_index if config.air_equation == "ciddor" else air.refractive_index,
     )
     return UmdLaser(PatientLink(SerialLink(port), clock), clock, settings)
-
-
-def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> BenchParameters:
-    """The bench's parameters with the instrument of the axis file. Raises InputError for an instrument that the bench cannot
-    simulate."""
-    if config.trigger_input is not None:
-        parameters = replace(parameters, trigger_input=config.trigger_input)
-    if (beside := (config.beside or {}).get(STRAIGHTNESS)) is not None:
-        laser = replace(parameters.laser, straightness_um_per_unit=beside[1])
-        parameters = replace(parameters, laser=laser)
-    display = config.display
-    if display is None:
-        return parameters
-    kind = "mitutoyo" if display.pattern == "mitutoyo" else config.kind
-    if kind == "ascii" and (display.pattern != "number" or display.unit != "mm" or display.request):
-        raise InputError("[instrument] the bench writes patterns number (in mm, without a request) and mitutoyo")
-    pulse_hz = PULSES_HZ if display.pulsed else None
-    gauge = parameters.gauge or GaugeParameters()
-    resolution_mm = display.count_mm or gauge.resolution_mm
-    return replace(parameters, gauge=replace(gauge, kind=kind, pulse_hz=pulse_hz, resolution_mm=resolution_mm))

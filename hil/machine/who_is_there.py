@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING
 
-from drivers.canopen import scan as canopen
-from drivers.canopen.bus import CanLink
 from drivers.clock import Clock, WallClock
 from drivers.errors import BridgeError, InputError, InstrumentLinkError, OtherAnswerError, TransportError
-from drivers.modbus import scan as modbus
-from drivers.modbus.link import ModbusLink
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import modbus_endpoint
+
+if TYPE_CHECKING:  # only the wire that is scanned is loaded
+    from drivers.canopen.bus import CanLink
 
 NODE_S, UNIT_S = 0.02, 0.15
 """Time for one answer, s: a CANopen node takes 1 to 10 ms, a Modbus drive 1 to 60 ms. All nodes take 0.4 s, the units 2.4 s."""
@@ -22,12 +22,17 @@ UNITS = range(1, 17)
 
 def canopen_nodes(link: CanLink) -> str:
     """The nodes of an open CAN bus. Raises TransportError."""
+    from drivers.canopen import scan as canopen  # noqa: PLC0415  (only the wire that is scanned is loaded)
+
     ids = ", ".join(str(node.node_id) for node in canopen.scan(link, canopen.ALL_NODES, timeout_s=NODE_S))
     return f"a scan found {ids}" if ids else "a scan found no node at all: bit rate, wiring, termination, power?"
 
 
 def modbus_units(endpoint: Endpoint, clock: Clock) -> str:
     """The units 1 to 16 of a Modbus line. Raises TransportError."""
+    from drivers.modbus import scan as modbus  # noqa: PLC0415  (as above)
+    from drivers.modbus.link import ModbusLink  # noqa: PLC0415  (as above)
+
     quick: Endpoint
     if isinstance(endpoint, RtuEndpoint):
         quick = RtuEndpoint(endpoint.device, endpoint.baud, endpoint.parity, endpoint.stop_bits, UNIT_S)
@@ -51,6 +56,8 @@ def who_is_there(axis: DriveAxis) -> str:
     drive = axis.drive
     with suppress(BridgeError, InputError, OSError):
         if drive.backend == "canopen":
+            from drivers.canopen.bus import CanLink  # noqa: PLC0415  (as above)
+
             clock = WallClock()
             bitrate = None if drive.interface == "virtual" else drive.bitrate
             with CanLink.open(clock, interface=drive.interface, channel=drive.channel, bitrate=bitrate) as link:

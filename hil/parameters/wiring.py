@@ -14,15 +14,16 @@ from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import Clock, Waiting, WallClock
 from drivers.errors import CapabilityError, InputError
+from drivers.modbus.endpoint import Endpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Endpoint
 from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis, modbus_endpoint
-from hil.machine.wiring import bench_node, bench_parameters
+from hil.machine.bench_canopen import bench_node
+from hil.machine.bench_wiring import bench_parameters
 from hil.parameters.journal import Journal
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import attach_to_wire

@@ -21,15 +21,19 @@ from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import AbortError, CapabilityError, InputError
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.plan import Span, Table
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.undo import undo_all
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis
+from hil.machine.bench_modbus import BENCH_TIMEOUT_S
+from hil.machine.canopen_wiring import canopen_drive
 from hil.machine.interrupts import ending_by_signals, stopped_by_signals
+from hil.machine.links import Links
+from hil.machine.modbus_wiring import modbus_drive
 from hil.machine.supervisor import finish_despite_interrupt
-from hil.machine.wiring import BENCH_TIMEOUT_S, Links, canopen_drive, hardware_drive, modbus_drive
+from hil.machine.wiring import hardware_drive
 from hil.probe.machine_file import (
     AngleConfig,
     BossConfig,

@@ -28,9 +28,10 @@ from drivers.instruments.nd2xx import Nd2xxDecoder
 from drivers.instruments.replay import Recording
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.instruments.values import ValueProtocol
+from drivers.modbus.endpoint import parse_endpoint
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import shipped_maps
-from drivers.modbus.wire import Function, PymodbusWire, Request, parse_endpoint
+from drivers.modbus.wire import Function, PymodbusWire, Request
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import load_axis
 from hil.correction.formats import fanuc, keysight, linuxcnc, measured_csv, sinumerik, twincat, wide_iso

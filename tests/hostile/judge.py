@@ -26,7 +26,7 @@ from hostile.peer import Kind, Peer
 from hostile.places import TRAVEL_MM, VERBS, WITH_INSTRUMENT, NotGoodError, Place
 from hostile.servo_kinds import SERVO_KINDS
 
-import hil.machine.wiring
+import hil.machine.bench_modbus
 import hil.probe.wiring
 from drivers.clock import Waiting
 from drivers.errors import DriveFaultError
@@ -266,7 +266,7 @@ def through_a_proxy(armed: Callable[[Peer], None], truths: Sequence[Truth]) -> I
         stack.enter_context(
             patch.multiple(PymodbusWire, **{name: passing(getattr(PymodbusWire, name)) for name in names})
         )
-        for module in (hil.machine.wiring, hil.probe.wiring):
+        for module in (hil.machine.bench_modbus, hil.probe.wiring):
             stack.enter_context(patch.object(module, "BENCH_TIMEOUT_S", BENCH_SILENCE_S))
             stack.enter_context(patch.object(module, "tcp_server", behind_proxy(armed)))
         yield

@@ -23,8 +23,8 @@ from hostile.judge import DATUM_MM, HOMING_MM, REACH_MM, ROW_MM, WALL_S, HangErr
 from hostile.peer import when_due
 from hostile.places import TRAVEL_MM, VERBS, Place
 
-import hil.machine.axes_wiring
-import hil.machine.wiring
+import hil.machine.bench_canopen
+import hil.machine.bench_wiring
 from drivers.errors import BridgeError
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.clock import SimClock
@@ -124,8 +124,8 @@ class Machine:
     @contextmanager
     def wired(self) -> Iterator[None]:
         with (
-            patch.object(hil.machine.wiring, "Bench", self.make_bench),
-            patch.object(hil.machine.wiring, "drives_in_turn", self.drives),
+            patch.object(hil.machine.bench_wiring, "Bench", self.make_bench),
+            patch.object(hil.machine.bench_canopen, "drives_in_turn", self.drives),
         ):
             yield
 

@@ -17,8 +17,8 @@ from hostile.can_peer import CanPeer, stand_in
 from support import probe_files
 from support.bench_axis import AXIS, PASSWORDS
 
-import hil.machine.axes_wiring
-import hil.machine.wiring
+import hil.machine.bench_canopen
+import hil.machine.bench_wiring
 import hil.probe.wiring
 from drivers.clock import Waiting
 from drivers.errors import BridgeError, UnprovenError
@@ -165,10 +165,9 @@ class Place:
                 place.on_bench(self)
 
         with ExitStack() as stack:
-            for module in (hil.machine.wiring, hil.machine.axes_wiring, hil.probe.wiring):
+            for module in (hil.machine.bench_canopen, hil.probe.wiring):
                 stack.enter_context(patch.object(module, "drives_in_turn", stand_in(self.on_can)))
-            for module in (hil.machine.wiring, hil.machine.axes_wiring):
-                stack.enter_context(patch.object(module, "Bench", SeenBench))
+            stack.enter_context(patch.object(hil.machine.bench_wiring, "Bench", SeenBench))
             yield
 
 

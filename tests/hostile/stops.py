@@ -20,7 +20,7 @@ from hostile.modbus_kinds import stand_in as behind_proxy
 from hostile.peer import when_due
 from hostile.places import VERBS, Place
 
-import hil.machine.wiring
+import hil.machine.bench_modbus
 import hil.probe.wiring
 from hil.app.desk.stop import Pacing, Stop
 from sim_backends.bench import Bench
@@ -135,7 +135,7 @@ def stopped_at(face: str, verb: str, share: float, *, sdo_dead: bool = False) ->
         )
         stack.enter_context(place.wired())
         if modbus:
-            for module in (hil.machine.wiring, hil.probe.wiring):
+            for module in (hil.machine.bench_modbus, hil.probe.wiring):
                 stack.enter_context(patch.object(module, "tcp_server", behind_proxy(watch.on_modbus)))
         try:
             with ended_after(WALL_S):

@@ -10,7 +10,8 @@ from fuzz.targets import _Port
 from drivers.errors import BridgeError, NoAnswerError, ProtocolError
 from drivers.instrument import ReadingStatus
 from drivers.instruments.umd_laser import UmdLaser, UmdSettings
-from drivers.modbus.wire import Function, PymodbusWire, Request, parse_endpoint
+from drivers.modbus.endpoint import parse_endpoint
+from drivers.modbus.wire import Function, PymodbusWire, Request
 from sim_backends.clock import SimClock
 from sim_backends.modbus_framing import Frame, pack_rtu
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 from support import bench_axis
 
-import hil.machine.wiring
+import hil.machine.bench_wiring
 from drivers.drive import DriveState
 from drivers.errors import ProtocolError
 from hil.app.jobs.zero_statement import ZeroStatement
@@ -90,7 +90,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
         path.write_text(text.replace("dwell_s = 0.3\nreading_s = 0.3", "dwell_s = 0.05\nreading_s = 0.1"))
         here = Site(load_axis(path), bench)
         bench.clock.attach(lambda _now, _dt: here.reach_mm.append(here.motor_mm()), bearable=bench.servo.bearable)
-        monkeypatch.setattr(hil.machine.wiring, "_bench", lambda *_args: bench)
+        monkeypatch.setattr(hil.machine.bench_wiring, "make_bench", lambda *_args: bench)
         return here
 
     yield make

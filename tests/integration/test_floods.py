@@ -19,9 +19,12 @@ from drivers.canopen.scan import FoundNode, listen, scan
 from drivers.errors import BridgeError
 from hil.axis.axis_file import load_axis
 from hil.doctor.procedure import Check, doctor
+from hil.machine.bench_wiring import bench_parameters
+from hil.machine.canopen_wiring import canopen_drive
 from hil.machine.instruments import build_instrument
+from hil.machine.links import Links
 from hil.machine.session import AxisSession
-from hil.machine.wiring import Links, bench_parameters, canopen_drive, session_of
+from hil.machine.wiring import session_of
 from sim_backends.bench import Bench
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import attach_to_wire

@@ -19,8 +19,9 @@ from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import turn_in_motion
 from hil.effects import ALL
+from hil.machine.bench_wiring import bench_parameters
 from hil.machine.sample_times import SampleTimes
-from hil.machine.wiring import bench_parameters, connected
+from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records
 from sim_backends.bench import BenchParameters

@@ -21,7 +21,8 @@ from hil.calibration.in_motion import measure_in_motion, plan_passes
 from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.latency import dated, measure_latency
 from hil.figures.latency import Latency
-from hil.machine.wiring import Machine, bench_parameters, connected
+from hil.machine.bench_wiring import bench_parameters
+from hil.machine.wiring import Machine, connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records, read_csv
 from sim_backends.gauge import GaugeParameters

@@ -21,7 +21,8 @@ from hil.correction.tables import TableSet
 from hil.diagnosis.loop.procedure import Turning, turn_loop
 from hil.effects import ALL
 from hil.effects.base import Action
-from hil.machine.wiring import bench_parameters, connected
+from hil.machine.bench_wiring import bench_parameters
+from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records
 

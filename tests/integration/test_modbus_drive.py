@@ -29,11 +29,11 @@ from drivers.errors import (
 )
 from drivers.modbus.codec import Layout, Order, RegisterType
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.canopen_profile import Defect

@@ -16,9 +16,9 @@ import pytest
 from drivers.drive import DriveLimits
 from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError, UndoError
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import LinkPolicy, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

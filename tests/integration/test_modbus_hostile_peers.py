@@ -20,9 +20,10 @@ import pytest
 
 from drivers.clock import IO_SLICE_S, WallClock
 from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, OtherAnswerError, ProtocolError
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
 from drivers.modbus.plan import Span, Table
-from drivers.modbus.wire import Endpoint, PymodbusWire, Request, RtuEndpoint, TcpEndpoint
+from drivers.modbus.wire import PymodbusWire, Request
 from hil.app.terminal.main import main
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 

@@ -6,9 +6,10 @@ import socket
 import threading
 import time
 
+from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.plan import Table
-from drivers.modbus.wire import PymodbusWire, TcpEndpoint
+from drivers.modbus.wire import PymodbusWire
 from sim_backends.clock import SimClock
 
 

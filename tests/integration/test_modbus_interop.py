@@ -34,6 +34,7 @@ from drivers.drive import DriveState
 from drivers.errors import AbortError, NoAnswerError
 from drivers.modbus.codec import Layout, Order, RegisterType, decode, encode
 from drivers.modbus.correction_table import ModbusCorrectionTable
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.plan import Span, Table
@@ -41,7 +42,6 @@ from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from hil.parameters.compare import compare
 from hil.parameters.download import Target, download
 from hil.parameters.journal import Journal

@@ -14,10 +14,10 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusIOException
 
 from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError
+from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
 from drivers.modbus.map_loader import load_register_map
 from drivers.modbus.plan import Span, Table
-from drivers.modbus.wire import RtuEndpoint, TcpEndpoint
 from sim_backends.clock import SimClock
 from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
 from sim_backends.modbus_faults import WireFault, WireFaultKind

@@ -7,9 +7,9 @@ import pytest
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import NoAnswerError
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import parse_endpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import parse_endpoint
 from drivers.scaling import AxisScaling
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

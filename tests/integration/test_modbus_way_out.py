@@ -18,10 +18,11 @@ from drivers.clock import Clock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.way_out import WayOut
-from drivers.modbus.wire import Request, TcpEndpoint
+from drivers.modbus.wire import Request
 from drivers.scaling import AxisScaling
 from drivers.standstill import FrozenValues
 from hil.machine.supervisor import Supervisor

@@ -13,7 +13,8 @@ from hil.axis.axis_file import load_axis
 from hil.calibration.calibrate import calibrate
 from hil.calibration.explore import Exploration
 from hil.diagnosis.loop.procedure import Turning, turn_loop
-from hil.machine.wiring import bench_parameters, connected
+from hil.machine.bench_wiring import bench_parameters
+from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 
 

@@ -20,7 +20,7 @@ from drivers.clock import WallClock
 from drivers.errors import InputError
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_drive_axis
-from hil.machine.wiring import canopen_drive
+from hil.machine.canopen_wiring import canopen_drive
 from hil.parameters.compare import compare
 from hil.parameters.download import Target, download
 from hil.parameters.formats import read_any, write_any

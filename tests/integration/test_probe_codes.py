@@ -16,9 +16,9 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.clock import WallClock
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import TcpEndpoint
 from hil.app.terminal.main import main
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.wiring import control_wires

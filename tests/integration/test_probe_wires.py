@@ -15,7 +15,8 @@ from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
 from drivers.modbus.drive import ModbusDrive
 from hil.axis.axis_file import load_drive_axis
-from hil.machine.wiring import Links, hardware_drive
+from hil.machine.links import Links
+from hil.machine.wiring import hardware_drive
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.procedure import centre_bore, measure_run_out
 from hil.probe.runout import CorrectionCode

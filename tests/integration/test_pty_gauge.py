@@ -13,7 +13,8 @@ from drivers.errors import InputError, LinkLostError
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from drivers.instruments.gauge import Gauge
 from hil.axis.axis_file import DisplayConfig, InstrumentConfig
-from hil.machine.instruments import build_instrument, with_instrument
+from hil.machine.bench_wiring import with_instrument
+from hil.machine.instruments import build_instrument
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.gauge import GaugeParameters

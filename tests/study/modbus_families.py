@@ -16,9 +16,9 @@ from drivers.drive import DriveLimits, DriveState
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import MeasurementConfig
 from hil.doctor.procedure import Check

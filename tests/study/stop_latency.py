@@ -34,10 +34,11 @@ from drivers.clock import WallClock
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.errors import BridgeError
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.ports import Check
-from drivers.modbus.wire import Endpoint, PymodbusWire, Request, RtuEndpoint, TcpEndpoint
+from drivers.modbus.wire import PymodbusWire, Request
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from hil.app.desk.stop import Pacing, Stop, StoppedByOperator

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from support.bench_axis import AXIS
 
-import hil.machine.wiring
+import hil.machine.bench_wiring
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.clock import SimClock
 
@@ -72,5 +72,5 @@ def look_behind(monkeypatch: pytest.MonkeyPatch) -> BenchBehind:
             super().__init__(parameters, wait_for_arrival=wait_for_arrival, clock=clock)
             seen.bench = self
 
-    monkeypatch.setattr(hil.machine.wiring, "Bench", SeenBench)
+    monkeypatch.setattr(hil.machine.bench_wiring, "Bench", SeenBench)
     return seen

@@ -16,9 +16,9 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.drive import DriveLimits, ServoDrive
 from drivers.modbus.drive import ModbusDrive
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import attach_to_wire, served

@@ -12,10 +12,11 @@ from support.parameter_faults import KilledError
 
 from drivers.errors import AbortError, NoAnswerError
 from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint
 from drivers.modbus.link import LinkPolicy, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
-from drivers.modbus.wire import Endpoint, Request, RtuEndpoint
+from drivers.modbus.wire import Request
 from hil.parameters.set_file import ParameterSet, SetEntry
 from sim_backends.clock import SimClock
 from sim_backends.modbus_registers import Bank, Cell, Space, Value, answer

@@ -14,8 +14,9 @@ from contextlib import contextmanager
 import pytest
 
 from drivers.errors import AbortError
+from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.plan import Span, Table
-from drivers.modbus.wire import PymodbusWire, Request, TcpEndpoint
+from drivers.modbus.wire import PymodbusWire, Request
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, crc16, pack_rtu, pack_tcp
 from sim_backends.modbus_registers import Bank, Cell, Space, answer
 

@@ -101,7 +101,7 @@ _WRITTEN = {"rows": "rows of each pass below ", "tables": ""}
 def print_plan(axis: AxisConfig, plan: Plan) -> None:
     """Print the plan of a job that measures along the axis. Raises InputError for an axis that its drive's registers cannot hold."""
     if axis.drive.backend == "modbus":
-        from hil.machine.wiring import check_registers  # noqa: PLC0415  (the drivers take longer to load than a dry run needs)
+        from hil.machine.modbus_wiring import check_registers  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
         check_registers(axis)
     reach = plan.reach_mm

@@ -23,6 +23,7 @@ from drivers.drive_notes import DriveNotes, Wire, shipped_notes
 from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError
 from drivers.files import replace_file
 from drivers.modbus.drive_map import DriveMap, all_hold
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, parse_endpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.order_evidence import judge_orders
@@ -30,7 +31,6 @@ from drivers.modbus.parameters import ModbusParameters
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map, shipped_maps
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Endpoint, RtuEndpoint, parse_endpoint
 from hil.app.terminal.output import write_json
 from hil.axis.axis_file import load_drive_axis
 from hil.machine.commands.drives_shown import factory, wanted

@@ -14,9 +14,9 @@ from drivers.clock import WallClock
 from drivers.drive_notes import shipped_notes
 from drivers.errors import InputError
 from drivers.modbus import scan as modbus
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.wire import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
 from hil.app.terminal.output import Align, print_table, write_json
 from hil.app.terminal.progress import terminal_progress
 from hil.machine.events import Event

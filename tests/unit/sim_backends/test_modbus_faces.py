@@ -11,11 +11,11 @@ from support.modbus_direct import DirectWire
 from drivers.drive import DriveState
 from drivers.errors import AbortError
 from drivers.modbus.codec import Layout, RegisterType, encode
+from drivers.modbus.endpoint import Endpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Access, Memory, RegisterMap
-from drivers.modbus.wire import Endpoint, TcpEndpoint
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import KEPT, Cia402Registers
 from sim_backends.modbus_registers import Face, Space

@@ -12,12 +12,13 @@ import pytest
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable
 from drivers.errors import AbortError, InputError, ProtocolError, StateError
 from drivers.modbus.correction_table import ModbusCorrectionTable
+from drivers.modbus.endpoint import Endpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Endpoint, Request, TcpEndpoint
+from drivers.modbus.wire import Request
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

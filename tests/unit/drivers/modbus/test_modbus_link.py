@@ -12,9 +12,10 @@ import pytest
 
 from drivers.clock import NS_PER_S
 from drivers.errors import AbortError, InputError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
 from drivers.modbus.plan import Span, Table
-from drivers.modbus.wire import Endpoint, Request, RtuEndpoint, TcpEndpoint
+from drivers.modbus.wire import Request
 from sim_backends.clock import SimClock
 
 TCP = TcpEndpoint("nowhere", timeout_s=0.2)

@@ -13,19 +13,10 @@ from pymodbus.client import ModbusTcpClient
 from drivers.clock import IO_SLICE_S
 from drivers.errors import CapabilityError, InputError, LinkLostError, NoAnswerError
 from drivers.listening import Listening
+from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.ports import slices
-from drivers.modbus.wire import (
-    Endpoint,
-    Function,
-    PymodbusWire,
-    Request,
-    RtuEndpoint,
-    TcpEndpoint,
-    over_and_over,
-    parse_endpoint,
-    unit_keyword,
-)
+from drivers.modbus.wire import Function, PymodbusWire, Request, over_and_over, unit_keyword
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,11 @@ from drivers.drive import DriveState
 from drivers.errors import DriveFaultError, LinkLostError, MeasurementLostError
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
+from hil.machine.bench_wiring import bench_parameters
 from hil.machine.events import Event
 from hil.machine.measure import MOST_LOSSES, STEADY_S, Step, bidirectional_steps, measure
 from hil.machine.session import AxisSession
-from hil.machine.wiring import bench_parameters, connected
+from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records
 from sim_backends.faults import Fault, FaultKind

@@ -25,7 +25,8 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.calibrate import calibrate
 from hil.correction.tables import TableSet
 from hil.machine.axis_lock import drive_address, held_axis
-from hil.machine.wiring import bench_parameters, connected, connected_drive
+from hil.machine.bench_wiring import bench_parameters
+from hil.machine.wiring import connected, connected_drive
 from hil.parameters.wiring import connected_parameters
 from hil.records.journal import Campaign
 from sim_backends.canopen_bench import BareShaft

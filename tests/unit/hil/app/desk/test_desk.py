@@ -23,10 +23,11 @@ from hil.app.desk.roles import LockedError
 from hil.app.jobs.job import Job, Workplace
 from hil.app.jobs.plan import Plan
 from hil.axis.axis_file import DriveAxis, load_axis, load_drive_axis
+from hil.machine.bench_wiring import bench_parameters
 from hil.machine.events import Event, Measured, Point
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import bench_parameters, connected
+from hil.machine.wiring import connected
 from sim_backends.clock import BEAT_NS
 from sim_backends.faults import Fault, FaultKind
 

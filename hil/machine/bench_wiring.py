@@ -1,0 +1,177 @@
+"""The bench in place of a machine: its servos behind the face that the axis files name, and its instrument."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+
+from drivers.clock import Waiting
+from drivers.drive import DriveLimits, ServoDrive
+from drivers.errors import InputError
+from drivers.scaling import AxisScaling
+from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
+from hil.machine.bench_conditions import BenchConditions
+from hil.machine.instruments import build_instrument
+from hil.machine.links import guarded
+from hil.machine.wiring import Machine, session_of
+from sim_backends.bench import Bench, BenchParameters, known_bench
+from sim_backends.clock import SimClock
+from sim_backends.gauge import GaugeParameters
+from sim_backends.own_table import TableForm, known_table
+from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+PULSES_HZ = 10.0
+"""Rate of the bench's pulse generator on the external input of a display, Hz."""
+
+STRAIGHTNESS = "straightness_um"
+"""The column of [instrument] beside for which the bench has straightness optics, on axis 2 of its display."""
+
+
+def bench_parameters(axis: DriveAxis) -> BenchParameters:
+    """The simulated machine that an axis file with backend "bench" names."""
+    return known_bench(axis.drive.machine, axis.drive.seed)
+
+
+def bench_machines(
+    axes: Sequence[AxisConfig],
+    parameters: Sequence[BenchParameters] | None,
+    stack: ExitStack,
+    waiting: Waiting | None,
+) -> tuple[Machine, ...]:
+    """The simulated axes of one machine. parameters: in place of those that the axis files name. Raises as `make_bench`."""
+    parameters = parameters or [bench_parameters(axis) for axis in axes]
+    wanted = [with_instrument(one, axis.instrument) for axis, one in zip(axes, parameters, strict=True)]
+    benches = _benches(axes, wanted, stack, waiting)
+    drives = _drives(axes, benches, stack)
+    return tuple(_machine(*each) for each in zip(axes, benches, drives, strict=True))
+
+
+def bench_across(
+    axis: AxisConfig, other: DriveAxis, stack: ExitStack, waiting: Waiting | None
+) -> tuple[Machine, ServoDrive]:
+    """A simulated axis, and the drive of the one that its straightness moves."""
+    wanted = [with_instrument(bench_parameters(axis), axis.instrument), bench_parameters(other)]
+    benches = _benches([axis, other], wanted, stack, waiting)
+    drives = _drives([axis, other], benches, stack)
+    return _machine(axis, benches[0], drives[0]), drives[1]
+
+
+def bench_drive(
+    axis: DriveAxis, parameters: BenchParameters | None, stack: ExitStack, waiting: Waiting | None
+) -> ServoDrive:
+    """A simulated drive alone."""
+    benches = _benches([axis], [parameters or bench_parameters(axis)], stack, waiting)
+    return _drives([axis], benches, stack)[0]
+
+
+def _machine(axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
+    instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
+    conditions = BenchConditions(bench.plant, axis.conditions.levels)
+    return Machine(axis, session_of(axis, drive, instrument, conditions), bench)
+
+
+def _benches(
+    axes: Sequence[DriveAxis], parameters: Sequence[BenchParameters], stack: ExitStack, waiting: Waiting | None
+) -> list[Bench]:
+    """On one clock; two axes are at right angles."""
+    clock = SimClock(parameters[0].step_s, waiting)
+    benches = [make_bench(axis, wanted, clock, stack) for axis, wanted in zip(axes, parameters, strict=True)]
+    if len(benches) == 2:
+        benches[0].cross(benches[1])
+    return benches
+
+
+def make_bench(axis: DriveAxis, parameters: BenchParameters, clock: SimClock, stack: ExitStack) -> Bench:
+    """The bench of one axis. Raises InputError for an axis file whose scaling or travel is not the bench's."""
+    _check(axis, parameters)
+    return stack.enter_context(Bench(parameters, clock=clock))
+
+
+def _drives(axes: Sequence[DriveAxis], benches: Sequence[Bench], stack: ExitStack) -> Sequence[ServoDrive]:
+    """Drives on the wire that the axis files name. Of several, nodes 1, 2 … of one bus, units 1, 2 … of one line."""
+    face, clock = axes[0].drive.face, benches[0].clock
+    if face == "virtual":
+        return [virtual_drive(*pair) for pair in zip(axes, benches, strict=True)]
+    if len(axes) > 1:
+        axes = [replace(axis, drive=replace(axis.drive, node_id=n, unit=n)) for n, axis in enumerate(axes, start=1)]
+    pairs = list(zip(axes, benches, strict=True))
+    if face == "canopen":
+        from hil.machine.bench_canopen import canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
+
+        return canopen_drives([(*pair, bench_table(*pair)) for pair in pairs], clock, stack)
+    from hil.machine.bench_modbus import modbus_drives  # noqa: PLC0415  (as above)
+
+    return modbus_drives({axis.drive.unit: (axis, bench) for axis, bench in pairs}, clock, stack)
+
+
+def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:
+    """A drive that calls the bench's servo directly, without a wire."""
+    asked = axis.drive.homing
+    settings = VirtualDriveSettings(acceleration_mm_s2=axis.limits.max_acceleration_mm_s2)
+    given = {
+        "homing_method": asked.method,
+        "homing_speed_switch_mm_s": asked.speed_switch_mm_s,
+        "homing_speed_zero_mm_s": asked.speed_zero_mm_s,
+        "home_position_mm": asked.home_position_mm,
+    }
+    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+    drive = VirtualDrive(
+        bench.servo,
+        axis.scaling,
+        axis.limits,
+        bench.clock,
+        name=axis.name,
+        settings=settings,
+        table=bench_table(axis, bench),
+    )
+    return guarded(axis, drive)
+
+
+def bench_table(axis: DriveAxis, bench: Bench) -> TableForm | None:
+    """The correction table in the bench's drive, None where the axis file names none."""
+    return known_table(axis.drive.correction_table, bench.parameters.scaling.counts_per_load_mm / 1000.0)
+
+
+def _check(axis: DriveAxis, parameters: BenchParameters) -> None:
+    """Raises InputError for an axis file whose scaling or travel is not the bench's."""
+    found: tuple[AxisScaling, DriveLimits] = (parameters.scaling, parameters.limits)
+    if axis.drive.profile:
+        from sim_backends.canopen_quirks import profile_counts  # noqa: PLC0415  (a profile is one of a CANopen drive)
+        from sim_backends.drive_profiles import load_profile  # noqa: PLC0415  (as above)
+
+        counts = profile_counts(load_profile(axis.drive.profile), parameters)
+        found = (replace(found[0], encoder_counts_per_motor_rev=counts), found[1])
+    if axis.scaling != found[0]:
+        raise InputError(
+            f"[scaling] does not describe the bench: expected encoder_counts_per_motor_rev ="
+            f" {found[0].encoder_counts_per_motor_rev}, feed_mm_per_shaft_rev = {found[0].feed_mm_per_shaft_rev:g}",
+            path=axis.path,
+        )
+    limits = axis.limits
+    if limits.travel_min_mm < found[1].travel_min_mm or limits.travel_max_mm > found[1].travel_max_mm:
+        raise InputError(
+            f"[axis] travel {limits.travel_min_mm:g} to {limits.travel_max_mm:g} mm exceeds the bench's"
+            f" {found[1].travel_min_mm:g} to {found[1].travel_max_mm:g} mm",
+            path=axis.path,
+        )
+
+
+def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> BenchParameters:
+    """The bench's parameters with the instrument of the axis file. Raises InputError for an instrument that the bench cannot
+    simulate."""
+    if config.trigger_input is not None:
+        parameters = replace(parameters, trigger_input=config.trigger_input)
+    if (beside := (config.beside or {}).get(STRAIGHTNESS)) is not None:
+        laser = replace(parameters.laser, straightness_um_per_unit=beside[1])
+        parameters = replace(parameters, laser=laser)
+    display = config.display
+    if display is None:
+        return parameters
+    kind = "mitutoyo" if display.pattern == "mitutoyo" else config.kind
+    if kind == "ascii" and (display.pattern != "number" or display.unit != "mm" or display.request):
+        raise InputError("[instrument] the bench writes patterns number (in mm, without a request) and mitutoyo")
+    pulse_hz = PULSES_HZ if display.pulsed else None
+    gauge = parameters.gauge or GaugeParameters()
+    resolution_mm = display.count_mm or gauge.resolution_mm
+    return replace(parameters, gauge=replace(gauge, kind=kind, pulse_hz=pulse_hz, resolution_mm=resolution_mm))
