@@ -15,7 +15,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from hil.diagnosis.policy import policy
 from hil.effects.model import PitchTable
@@ -123,14 +122,27 @@ def cardinal(knots_mm: Floats, x_mm: Floats) -> Floats:
     if K == 2:
         share = (x_mm - knots_mm[0]) / (knots_mm[1] - knots_mm[0])
         return np.column_stack([1 - share, share])
-    spline = CubicSpline(knots_mm, np.eye(K), bc_type="natural")
     inside = np.clip(x_mm, knots_mm[0], knots_mm[-1])
-    values = np.asarray(spline(inside))
-    beyond = x_mm - inside
-    outside = np.flatnonzero(beyond)
-    if len(outside):
-        values[outside] += beyond[outside, None] * np.asarray(spline(inside[outside], 1))
-    return values
+    values, slopes = _natural_spline(knots_mm, inside)
+    return np.asarray(values + (x_mm - inside)[:, None] * slopes)
+
+
+def _natural_spline(knots_mm: Floats, x_mm: Floats) -> tuple[Floats, Floats]:
+    """The same within the knots, three or more, with its slope (de Boor, A Practical Guide to Splines, ch. IV)."""
+    K = len(knots_mm)
+    h = np.diff(knots_mm)
+    slope = np.diff(np.eye(K), axis=0) / h[:, None]
+    matrix = np.diag((h[:-1] + h[1:]) / 3.0) + np.diag(h[1:-1] / 6.0, 1) + np.diag(h[1:-1] / 6.0, -1)
+    second = np.vstack([np.zeros(K), np.linalg.solve(matrix, np.diff(slope, axis=0)), np.zeros(K)])
+    j = np.clip(np.searchsorted(knots_mm, x_mm, side="right") - 1, 0, K - 2)
+    a = ((knots_mm[j + 1] - x_mm) / h[j])[:, None]
+    b = 1.0 - a
+    square = (h[j] ** 2 / 6.0)[:, None]
+    eye = np.eye(K)
+    values = a * eye[j] + b * eye[j + 1] + square * ((a**3 - a) * second[j] + (b**3 - b) * second[j + 1])
+    third = (h[j] / 6.0)[:, None]
+    slopes = slope[j] + third * ((1.0 - 3.0 * a**2) * second[j] + (3.0 * b**2 - 1.0) * second[j + 1])
+    return np.asarray(values), np.asarray(slopes)
 
 
 FINE = 8

@@ -12,7 +12,6 @@ likelihood.
 
 from __future__ import annotations
 
-import contextlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -183,43 +182,35 @@ class _Course:
     noise: float
 
     @classmethod
-    def of(cls, moments: _Moments, order: int, stiffness: float) -> _Course:
-        """With the squared derivative of an order held small, `stiffness` times against the squared differences to the readings.
-
-        Raises numpy.linalg.LinAlgError where rounding hides the readings beside it.
+    def tried(cls, moments: _Moments, order: int, stiffness: Floats) -> Iterator[_Course]:
+        """With the squared derivative of an order held small, `stiffness` times, (s,), against the squared differences to the
+        readings; without those beside which rounding hides the readings.
         """
-        from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415  (slow to import, and every job at an axis comes through here)
-
         m, freedom = len(moments.time), float(np.sum(moments.count)) - 2.0
         rows = moments.differences(order)
-        matrix = stiffness * _banded(rows, m)
-        matrix[-1] += moments.count
-        factor = cholesky_banded(matrix)
-
-        def smooth(values: Floats) -> Floats:
-            return np.asarray(cho_solve_banded((factor, False), moments.count * values))
-
-        course = smooth(moments.value)
-        logs = 2.0 * float(np.sum(np.log(factor[-1]))) - (m - order) * np.log(stiffness) - _log_determinant(rows)
+        matrix = _banded(rows, m)[None] * stiffness[:, None, None]
+        matrix[:, -1] += moments.count
+        factor = _Factor.of(matrix)
+        course = factor.solve(moments.count * moments.value)
+        logs = factor.log_determinant - (m - order) * np.log(stiffness) - _log_determinant(rows)
         if order == 1:  # a line has a slope, which the penalty would draw to zero: it is fitted beside the walk
             line = moments.time - np.average(moments.time, weights=moments.count)
-            apart = line - smooth(line)
-            information = float(line @ (moments.count * apart))
-            course = course + apart * (float(moments.value @ (moments.count * apart)) / information)
-            logs += np.log(information / float(line @ (moments.count * line)))
-        squares = float(moments.value @ (moments.count * (moments.value - course))) + moments.spread
-        squares = max(squares, freedom * LEAST_NOISE**2)
-        return cls(
-            course, -0.5 * (freedom * np.log(squares / freedom) + float(logs)), float(np.sqrt(squares / freedom))
-        )
+            apart = line - factor.solve(moments.count * line)
+            information = apart @ (moments.count * line)
+            course = course + apart * ((apart @ (moments.count * moments.value)) / information)[:, None]
+            logs = logs + np.log(information / float(line @ (moments.count * line)))
+        squares = (moments.value - course) @ (moments.count * moments.value) + moments.spread
+        squares = np.maximum(squares, freedom * LEAST_NOISE**2)
+        worth = -0.5 * (freedom * np.log(squares / freedom) + logs)
+        for i in np.flatnonzero(factor.is_definite & np.isfinite(worth)):
+            yield cls(course[i], float(worth[i]), float(np.sqrt(squares[i] / freedom)))
 
 
 def _tried(moments: _Moments) -> Iterator[_Course]:
-    readings = float(np.sum(moments.count))
-    for order in (1, 2):
-        for width in np.geomspace(0.5, readings / 4.0, STEPS).tolist():
-            with contextlib.suppress(np.linalg.LinAlgError):
-                yield _Course.of(moments, order, width ** (2 * order))
+    widths = np.geomspace(0.5, float(np.sum(moments.count)) / 4.0, STEPS)
+    with np.errstate(all="ignore"):  # of matrices that are not definite
+        for order in (1, 2):
+            yield from _Course.tried(moments, order, widths ** (2 * order))
 
 
 def _straight_between(time: Floats, moments: Floats, course: Floats) -> Floats:
@@ -243,11 +234,60 @@ def _banded(rows: Floats, size: int) -> Floats:
 
 def _log_determinant(rows: Floats) -> float:
     """log |D·Dᵀ| of a matrix D whose row i holds rows[i] from column i on."""
-    from scipy.linalg import cholesky_banded  # noqa: PLC0415  (as above)
-
     count, width = rows.shape
     matrix = np.zeros((width, count))
     for apart in range(min(width, count)):
         here, there = rows[: count - apart, apart:], rows[apart:, : width - apart]
         matrix[width - 1 - apart, apart:] = np.sum(here * there, axis=1)
-    return 2.0 * float(np.sum(np.log(cholesky_banded(matrix)[-1])))
+    return float(_Factor.of(matrix[None]).log_determinant[0])
+
+
+@dataclass(frozen=True)
+class _Factor:
+    """L·D·Lᵀ of s symmetric matrices of one band. below: of L, by row and distance from the diagonal, (m, w, s); diagonal: (m, s)."""
+
+    below: Floats
+    diagonal: Floats
+
+    @classmethod
+    def of(cls, band: Floats) -> _Factor:
+        """band: in the upper banded form of LAPACK, (s, w + 1, m)."""
+        width, m = band.shape[1] - 1, band.shape[2]
+        rows = np.ascontiguousarray(band.transpose(2, 1, 0))
+        below, diagonal = np.zeros((m, width, len(band))), np.zeros((m, len(band)))
+        for j in range(m):
+            near = min(width, j)
+            left = rows[j, width - near : width].copy()  # of columns j - near … j - 1
+            for i in range(near):
+                column = j - near + i
+                for k in range(i):
+                    if i - k <= width:
+                        left[i] -= left[k] * below[column, i - k - 1]
+            d = rows[j, width].copy()
+            for i in range(near):
+                share = left[i] / diagonal[j - near + i]
+                d -= share * left[i]
+                below[j, near - i - 1] = share
+            diagonal[j] = d
+        return cls(below, diagonal)
+
+    @property
+    def is_definite(self) -> NDArray[np.bool_]:
+        return np.asarray(np.all(self.diagonal > 0.0, axis=0))
+
+    @property
+    def log_determinant(self) -> Floats:
+        return np.asarray(np.sum(np.log(self.diagonal), axis=0))
+
+    def solve(self, right: Floats) -> Floats:
+        """Solutions of the matrices, (s, m), for a right side (m,)."""
+        m, width, _ = self.below.shape
+        y = np.repeat(right[:, None], self.diagonal.shape[1], axis=1)
+        for j in range(1, m):
+            for i in range(min(width, j)):
+                y[j] -= self.below[j, i] * y[j - i - 1]
+        y /= self.diagonal
+        for j in range(m - 1, 0, -1):
+            for i in range(min(width, j)):
+                y[j - i - 1] -= self.below[j, i] * y[j]
+        return np.asarray(y.T)

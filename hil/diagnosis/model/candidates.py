@@ -12,11 +12,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.special import logsumexp
 
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.evidence import Candidate, Fit, Part
+from hil.diagnosis.model.numeric import log_sum_exp, lowest_by_simplex
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import Rows
 from hil.diagnosis.table import SplineShape
@@ -184,7 +183,7 @@ class Catalogue:
 
     def _best(self, grid: Grid, fit: Fit, gains: Floats, behind: float) -> Ranked:
         at = int(np.argmax(gains))
-        occam = float(logsumexp(gains) - gains[at]) - math.log(len(gains))
+        occam = log_sum_exp(gains) - float(gains[at]) - math.log(len(gains))
         prior = occam + self.prior(grid.effect, grid.form)
         part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at]), prior)
         return Ranked(behind + float(gains[at]) + prior, part, fit)
@@ -208,9 +207,8 @@ class Catalogue:
             return -fit.gain(self._columns(trial)) - prior
 
         simplex = np.vstack([start, start + np.diag(_steps(one, self.campaign, logs))])
-        options = {"initial_simplex": simplex, "maxfev": 22 * len(start), "fatol": 0.05, "xatol": 1e-4}
-        found = minimize(cost, start, method="Nelder-Mead", options=options)
-        return self.part(at(found.x), part.log_prior) if found.fun <= cost(start) else part
+        _, best = lowest_by_simplex(cost, simplex, 22 * len(start), 0.05)
+        return self.part(at(best), part.log_prior)
 
     def _columns(self, one: Candidate) -> Floats:
         columns = one.effect.basis(one.form, one.theta, self.campaign.columns)

@@ -17,9 +17,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
-from scipy.optimize import minimize
 
+from hil.diagnosis.model.numeric import highest, inverse_of_lower
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import MEMORIES, NO_MEMORY, OFFSET, Memory, Rows, side_by_side
 from hil.effects import Effect, Form
@@ -162,7 +161,7 @@ class Profile:
         diagonal, last = np.diag(lower), lower[-1, :-1]
         rss = float(diagonal[-1]) ** 2
         rss_0 = rss + float(last[p:] @ last[p:])
-        inverse = dtrtri(lower[:-1, :-1], lower=1)[0]
+        inverse = inverse_of_lower(lower[:-1, :-1])
         in_a = inverse[:p, : self._random]
         b_0 = last[:p] @ in_a
         noise = Noise(self.memory, log_sd)
@@ -184,16 +183,7 @@ class Profile:
 
     def best(self, start: Floats, steps: int = 12) -> tuple[float, Floats]:
         """Highest evidence from a start, with the log standard deviations there."""
-        bounds = list(zip(LOWEST.tolist(), HIGHEST.tolist(), strict=True))
-        found = minimize(
-            lambda v: tuple(-one for one in self.value(v)),
-            np.clip(start, LOWEST, HIGHEST),
-            jac=True,
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": steps, "ftol": 1e-5},
-        )
-        return -float(found.fun), np.asarray(found.x)
+        return highest(self.value, start, LOWEST, HIGHEST, steps)
 
 
 @dataclass(frozen=True)
@@ -242,7 +232,7 @@ class Fit:
         gram = self.white.T @ self.white
         gram[np.diag_indices(len(gram))] += self.ridge
         gram[np.diag_indices(len(gram))] *= 1.0 + 1e-10
-        self.inverse = dtrtri(np.linalg.cholesky(gram), lower=1)[0]
+        self.inverse = inverse_of_lower(np.linalg.cholesky(gram))
         self._onto = self.inverse @ self.white.T
         self.beta = np.asarray(self.inverse.T @ (self._onto @ self.y))
         self.rest = self.y - self._onto.T @ (self._onto @ self.y)
@@ -298,6 +288,11 @@ class Fit:
         return np.asarray(
             part.random @ self.beta[self.where(part, "random")] + part.free @ self.beta[self.where(part, "free")]
         )
+
+    @cached_property
+    def score(self) -> NDArray[np.float32]:
+        """Derivative of the likelihood to what each row is said to have, (n,)."""
+        return self.rows.unwhite(self.rest, self.noise.memory).astype(np.float32)
 
     def normal(self, columns: Floats) -> tuple[Floats, Floats]:
         """Normal equations of further columns (n, k) beside the fit: matrix (k, k), right side (k,)."""

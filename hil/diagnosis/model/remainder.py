@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,12 +18,13 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.candidates import Ranked
-from hil.diagnosis.model.evidence import Fit, Part
+from hil.diagnosis.model.evidence import LEAST_LEFT, Fit, Part
 from hil.diagnosis.result import OUTSIDE
 from hil.effects.history import BRANCH, LONG_STROKE_MM, time_column
 
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
+Ints = NDArray[np.int64]
 
 NO_CAUSE = frozenset(
     {"run", "measured_mm", "command_mm", "direction", "row_order", "correction_um", "residual_um", *BRANCH}
@@ -40,8 +41,12 @@ SWITCHING = np.arange(1.0, 25.0)
 """Those of a process in time: amplitudes that fall with frequency are those of a state that switches or wanders."""
 TURNS = (4.0, 170.0)
 """Periods along the travel of a part that turns and changes with another column: below, the smooth blocks have it."""
-MOST_BYTES = 120_000_000
-"""Most bytes of waves that are kept; of more rows they are made again for each scan."""
+CLOSELY = 3
+"""Waves of each column or two that are looked at closely beside a fit, of those that explain most at a glance."""
+TABLE_ORDER, MOST_OFFSETS = 7, 16
+"""Highest polynomial, and most runs with an offset, of the table at that glance."""
+TOGETHER = 32
+"""Blocks that are looked at together."""
 WIDTHS = (8, 16, 40)
 """Columns of a block, at most."""
 THIN = 3e-3
@@ -80,6 +85,12 @@ class Axis:
         angle = 2.0 * np.pi * np.outer(self.u, periods)
         return np.stack([np.cos(angle), np.sin(angle)], axis=2).astype(np.float32)
 
+    @cached_property
+    def course(self) -> Floats:
+        """1 and the smooth functions in fewer columns, the largest first, (n, r)."""
+        smooth = self.smooth()
+        return np.column_stack([smooth[:, 0], thin(smooth[:, 1:])[:, ::-1]])
+
     def smooth(self, highest: float = SMOOTH) -> Floats:
         """1 and functions whose variance falls with frequency, (n, r)."""
         if self.has_levels:
@@ -92,11 +103,69 @@ class Axis:
 
 @dataclass(frozen=True)
 class Waves:
-    """Groups of k columns side by side (n, G·k) that follow the same columns."""
+    """Products of functions of one column or two: every one of first (n, K, i) with every one of second (n, L, j), in groups of i·j
+    that have a prior of their own.
+    """
 
     names: tuple[str, ...]
-    columns: Singles
-    k: int
+    first: Singles
+    second: Singles
+
+    @property
+    def k(self) -> int:
+        return self.first.shape[2] * self.second.shape[2]
+
+    @property
+    def groups(self) -> int:
+        return self.first.shape[1] * self.second.shape[1]
+
+    def times(self, values: Singles) -> Waves:
+        """Each multiplied by the values of the rows, (n,)."""
+        return replace(self, second=self.second * values[:, None, None])
+
+    def columns(self, group: int) -> Floats:
+        """Of one group, (n, k)."""
+        a, b = divmod(group, self.second.shape[1])
+        product = self.first[:, a, :, None] * self.second[:, b, None, :]
+        return np.asarray(product.reshape(len(product), -1), dtype=np.float64)
+
+    def sums(self, first: Singles, second: Singles) -> Floats:
+        """Sums over the rows of products of other functions, (n, K, i') and (n, L, j'), of the groups: (G, i'·j')."""
+        (n, k, i), (_, m, j) = first.shape, second.shape
+        sums = (first.reshape(n, -1).T @ second.reshape(n, -1)).reshape(k, i, m, j)
+        return np.asarray(sums.transpose(0, 2, 1, 3).reshape(k * m, i * j), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Screen:
+    """What is computed once of waves, so that of each fit only the likeliest are looked at closely.
+
+    inverse: of their products beside a table in white noise, (G, k, k); alike: correlation of their neighbouring rows, (G,)
+    """
+
+    waves: Waves
+    inverse: Floats
+    alike: Floats
+
+    @classmethod
+    def of(cls, waves: Waves, table: Singles, neighbours: NDArray[np.bool_]) -> Screen:
+        """table: orthonormal, (n, q); neighbours: of which rows the next is of the same run, (n - 1,)."""
+        a, b, k = waves.first, waves.second, waves.k
+        square = waves.sums(_pairs(a), _pairs(b)).reshape(-1, a.shape[2], a.shape[2], b.shape[2], b.shape[2])
+        product = square.transpose(0, 1, 3, 2, 4).reshape(-1, k, k)
+        by_table = b[:, :, :, None] * table[:, None, None, :]
+        held = waves.sums(a, by_table.reshape(*b.shape[:2], -1)).reshape(len(product), k, -1)
+        whole = np.trace(product, axis1=1, axis2=2)
+        left = product - held @ held.transpose(0, 2, 1)
+        left += np.eye(k) * (LEAST_LEFT * whole[:, None, None] + 1e-12)
+        beside = waves.sums(a[1:] * a[:-1] * neighbours[:, None, None], b[1:] * b[:-1])
+        return cls(waves, np.linalg.inv(left), np.sum(beside, axis=1) / np.maximum(whole, 1e-12))
+
+    def likeliest(self, fit: Fit, most: int) -> Ints:
+        """Groups that probably explain most of what a fit leaves."""
+        b = self.waves.sums(self.waves.first, self.waves.second * fit.score[:, None, None])
+        explained = np.einsum("gi,gij,gj->g", b, self.inverse, b) * fit.noise.memory.power(self.alike)
+        return np.argsort(-explained)[:most].astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -108,12 +177,12 @@ class Block:
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Blocks of k columns each, side by side in single precision."""
+class Found:
+    """A part of the remainder with the log evidence that it adds, its price included."""
 
-    blocks: list[Block]
-    columns: Singles
-    k: int
+    gain: float
+    price: float
+    block: Block
 
 
 class Remainder:
@@ -126,47 +195,47 @@ class Remainder:
         self.time = time_column(campaign.columns)
         usable = [name for name in sorted(survey.varying) if name not in NO_CAUSE or name == self.time]
         far = {name for name in usable if name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM)}
-        self._kept: list[Waves] | None = None
         self.axes = {name: Axis(name, campaign.columns[name]) for name in usable if name not in far}
 
-    def _signed(self, names: tuple[str, ...], columns: Floats) -> Iterator[Block]:
-        yield Block(names, columns)
+    def _signed(self, block: Block) -> Iterator[Block]:
+        yield block
         if self.d is not None:
-            yield Block((*names, "direction"), columns * self.d[:, None])
+            yield Block((*block.names, "direction"), block.columns * self.d[:, None])
 
-    def _waves(self, names: tuple[str, ...], columns: Singles, k: int) -> Iterator[Waves]:
-        yield Waves(names, columns, k)
+    def _with_sign(self, waves: Waves) -> Iterator[Waves]:
+        yield waves
         if self.d is not None:
-            yield Waves((*names, "direction"), columns * self.d.astype(np.float32)[:, None], k)
+            yield replace(waves.times(self.d.astype(np.float32)), names=(*waves.names, "direction"))
 
-    def waves(self) -> Iterator[Waves]:
-        """All groups, from memory where they are few."""
-        if self._kept is not None:
-            yield from self._kept
-            return
-        kept: list[Waves] = []
-        size = 0
-        for one in self._all_waves():
-            size += one.columns.nbytes
-            if size < MOST_BYTES:
-                kept.append(one)
-            yield one
-        self._kept = kept if size < MOST_BYTES else None
+    @cached_property
+    def screens(self) -> list[Screen]:
+        """All waves."""
+        same_run = np.diff(self.campaign.run) == 0
+        return [Screen.of(one, self._plain_table, same_run) for one in self._waves()]
 
-    def _all_waves(self) -> Iterator[Waves]:
-        n = len(self.campaign)
+    @cached_property
+    def _plain_table(self) -> Singles:
+        """Smooth functions of the position, alike and unlike in the directions, and offsets of the runs, orthonormal."""
+        u = (self.campaign.x - self.campaign.survey.centre_mm) / self.campaign.survey.half_span_mm
+        smooth = np.polynomial.legendre.legvander(u, TABLE_ORDER)
+        parts = [smooth] if self.d is None else [smooth, smooth * self.d[:, None]]
+        if 1 < self.campaign.runs <= MOST_OFFSETS:
+            parts.append((self.campaign.run[:, None] == np.arange(1, self.campaign.runs)).astype(float))
+        return np.asarray(np.linalg.qr(np.hstack(parts))[0], dtype=np.float32)
+
+    def _waves(self) -> Iterator[Waves]:
+        one = np.ones((len(self.campaign), 1, 1), dtype=np.float32)
         for axis in self.axes.values():
             if axis.name == "target_mm":
                 continue
-            own = self._waves((axis.name,), axis.waves(COARSE).reshape(n, -1), 2)
-            yield from (one for one in own if one.names != (self.time,))  # that is a reading that wanders
+            own = self._with_sign(Waves((axis.name,), axis.waves(COARSE), one))
+            yield from (waves for waves in own if waves.names != (self.time,))  # that is a reading that wanders
         for a, b in itertools.combinations(self.axes.values(), 2):
-            first, second = (one.waves(ALONG if one.name == "target_mm" else COARSE) for one in (a, b))
-            yield from self._waves((a.name, b.name), _products(first, second), 4)
+            first, second = (axis.waves(ALONG if axis.name == "target_mm" else COARSE) for axis in (a, b))
+            yield from self._with_sign(Waves((a.name, b.name), first, second))
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
         if place is not None and time is not None:
-            fine = _products(place.waves(FINE_PLACE), time.waves(FINE_TIME))
-            yield Waves((place.name, time.name), fine, 4)
+            yield Waves((place.name, time.name), place.waves(FINE_PLACE), time.waves(FINE_TIME))
         if place is not None and not place.has_levels:
             yield from self._turning(place)
 
@@ -180,50 +249,39 @@ class Remainder:
         wave = np.stack([np.cos(angle), np.sin(angle)], axis=2).astype(np.float32)
         for axis in self.axes.values():
             if axis is not place:
-                z = (axis.u - axis.u.mean()).astype(np.float32)[:, None, None]
-                columns = np.concatenate([wave * z, wave * (z * z - float(np.mean(z * z)))], axis=2)
-                yield Waves((place.name, axis.name), columns.reshape(len(z), -1), 4)
+                z = (axis.u - axis.u.mean()).astype(np.float32)
+                changes = np.stack([z, z * z - np.mean(z * z)], axis=1)[:, None, :]
+                yield Waves((place.name, axis.name), wave, changes)
 
-    @cached_property
-    def batches(self) -> list[Batch]:
-        """The blocks in the fewest columns that hold them, those of about as many together."""
-        thinned = [Block(one.names, thin(one.columns, WIDTHS[-1])) for one in self._blocks()]
-        found = []
-        for low, k in itertools.pairwise((0, *WIDTHS)):
-            mine = [one for one in thinned if low < one.columns.shape[1] <= k]
-            if mine:
-                wide = [np.pad(one.columns, ((0, 0), (0, k - one.columns.shape[1]))) for one in mine]
-                found.append(Batch(mine, np.hstack(wide).astype(np.float32), k))
-        return found
-
-    def _blocks(self) -> list[Block]:
-        found: list[Block] = []
-        for axis in self.axes.values():
-            if axis.name not in ("target_mm", self.time):  # the table, and a reading that wanders
-                found += self._signed((axis.name,), axis.smooth()[:, 1:])
-        for a, b in itertools.combinations(self.axes.values(), 2):
-            found += self._signed((a.name, b.name), _smooth_pair(a, b))
+    def _blocks(self) -> Iterator[Block]:
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
-        if time is not None:
-            found += self._in_time(place, time)
+        for axis in self.axes.values():
+            if axis is not place and axis is not time:  # the table, and a reading that wanders
+                yield from self._signed(Block((axis.name,), axis.course[:, 1:]))
+        for a, b in itertools.combinations(self.axes.values(), 2):
+            yield from self._signed(Block((a.name, b.name), _smooth_pair(a, b)))
+        if time is not None and not time.has_levels:
+            yield from self._in_time(place, time)
         if place is not None:
-            found += self._of_rows(place)
-        return found
+            yield from self._of_rows(place)
 
     def _in_time(self, place: Axis | None, time: Axis) -> Iterator[Block]:
         """A state that switches or wanders: with the direction, or along the travel."""
-        n = len(self.campaign)
-        if time.has_levels:
-            return
-        falling = (time.waves(SWITCHING) / np.hypot(1.0, SWITCHING / 3.0)[None, :, None]).reshape(n, -1).astype(float)
+        course = self._switching
         if self.d is not None:
-            yield Block((time.name, "direction"), falling * self.d[:, None])
+            yield Block((time.name, "direction"), thin(course[:, 1:] * self.d[:, None], WIDTHS[-1]))
         if place is None:
             return
-        course = np.column_stack([np.ones(n), falling])
         for period in np.arange(0.5, 6.1, 0.5):
             along = place.waves(np.array([period]))[:, 0].astype(float)
-            yield Block((place.name, time.name), (along[:, :, None] * course[:, None, :]).reshape(n, -1))
+            columns = (along[:, :, None] * course[:, None, :]).reshape(len(along), -1)
+            yield Block((place.name, time.name), thin(columns, WIDTHS[-1]))
+
+    @cached_property
+    def _switching(self) -> Floats:
+        """1 and functions of time whose amplitude falls as that of a state that switches or wanders, (n, r)."""
+        waves = self.axes[self.time].waves(SWITCHING) / np.hypot(1.0, SWITCHING / 3.0)[None, :, None]
+        return np.column_stack([np.ones(len(waves)), waves.reshape(len(waves), -1)])
 
     def _of_rows(self, place: Axis) -> Iterator[Block]:
         """One run, or one row in every few, that follows the travel in a way of its own."""
@@ -237,27 +295,45 @@ class Remainder:
                 mask = (order % cycle == first)[:, None]
                 yield Block((place.name, "row_order"), along * mask)
 
+    @cached_property
+    def _batches(self) -> list[list[Block]]:
+        """All blocks, those of about as many columns together."""
+        blocks = list(self._blocks())
+        found = []
+        for low, k in itertools.pairwise((0, *WIDTHS)):
+            mine = [one for one in blocks if low < one.columns.shape[1] <= k]
+            found += [mine[i : i + TOGETHER] for i in range(0, len(mine), TOGETHER)]
+        return found
+
     def best(self, fit: Fit, kept: int = 3) -> list[Ranked]:
         """The likeliest remainders beside a fit, as parts."""
-        waves: list[tuple[float, Block]] = []
-        count = 0
-        for one in self.waves():
-            gains = fit.gains(one.columns, one.k)
-            count += len(gains)
-            at = int(np.argmax(gains))
-            columns = one.columns[:, at * one.k : (at + 1) * one.k].astype(float)
-            waves.append((float(gains[at]), Block(one.names, columns)))
-        price = math.log(2.0 * count + 1.0)
-        found = [(gain - price, price, block) for gain, block in waves]
-        price = math.log(2.0 * sum(len(batch.blocks) for batch in self.batches) + 1.0)
-        for batch in self.batches:
-            gains = fit.random_gains(batch.columns, batch.k) - price
-            found += [(float(gains[i]), price, batch.blocks[i]) for i in np.argsort(-gains)[:kept]]
-        found += self._hit(fit)
-        found.sort(key=lambda one: -one[0])
-        return [Ranked(gain, self._part(one, price, fit), fit) for gain, price, one in found[:kept]]
+        found = sorted([*self._best_waves(fit), *self._best_blocks(fit), *self._hit(fit)], key=lambda one: -one.gain)
+        return [Ranked(one.gain, self._part(one, fit), fit) for one in found[:kept]]
 
-    def _hit(self, fit: Fit) -> Iterator[tuple[float, float, Block]]:
+    def _best_waves(self, fit: Fit) -> Iterator[Found]:
+        """The best of the waves of each column or two."""
+        price = math.log(2.0 * sum(screen.waves.groups for screen in self.screens) + 1.0)
+        for k in sorted({screen.waves.k for screen in self.screens}):
+            blocks = [
+                Block(screen.waves.names, screen.waves.columns(int(group)))
+                for screen in self.screens
+                if screen.waves.k == k
+                for group in screen.likeliest(fit, CLOSELY)
+            ]
+            gains = fit.gains(np.hstack([one.columns for one in blocks]).astype(np.float32), k)
+            yield from (Found(gain - price, price, one) for gain, one in zip(gains.tolist(), blocks, strict=True))
+
+    def _best_blocks(self, fit: Fit) -> Iterator[Found]:
+        price = math.log(2.0 * sum(map(len, self._batches)) + 1.0)
+        for batch in self._batches:
+            k = max(one.columns.shape[1] for one in batch)
+            wide = np.zeros((len(self.campaign), len(batch), k), dtype=np.float32)
+            for i, one in enumerate(batch):
+                wide[:, i, : one.columns.shape[1]] = one.columns
+            gains = fit.random_gains(wide.reshape(len(wide), -1), k) - price
+            yield from (Found(gain, price, one) for gain, one in zip(gains.tolist(), batch, strict=True))
+
+    def _hit(self, fit: Fit) -> Iterator[Found]:
         """Rows far off, here and there, that together follow the travel: more than they do with signs and places drawn anew, as the
         rows of a noise with heavy tails have them.
         """
@@ -272,28 +348,31 @@ class Remainder:
         for one in drawn.T:
             one[far] = rng.permutation(one[far]) * rng.choice([-1.0, 1.0], int(np.sum(far)))
         price = max(float(np.max(fit.gains_of(block.columns, drawn))), 0.0)
-        yield fit.random_gain(block.columns)[0] - price, price, block
+        yield Found(fit.random_gain(block.columns)[0] - price, price, block)
 
     @staticmethod
-    def _part(one: Block, price: float, fit: Fit) -> Part:
+    def _part(found: Found, fit: Fit) -> Part:
+        one = found.block
         columns = thin(one.columns * math.sqrt(fit.random_gain(one.columns)[1]))
         none = columns[:, :0]
-        return Part(OUTSIDE, one.names, none, columns, none, -price)
+        return Part(OUTSIDE, one.names, none, columns, none, -found.price)
 
 
-def _products(a: Singles, b: Singles) -> Singles:
-    """Products of the functions of two columns, (n, K, i) and (n, L, j): (n, K·L·i·j), those of one pair of periods side by side."""
-    return np.asarray((a[:, :, None, :, None] * b[:, None, :, None, :]).reshape(len(a), -1))
+def _pairs(functions: Singles) -> Singles:
+    """Products of the functions of one group with each other, (n, K, i): (n, K, i·i)."""
+    pairs = functions[:, :, :, None] * functions[:, :, None, :]
+    return np.asarray(pairs.reshape(*functions.shape[:2], -1))
 
 
 def _smooth_pair(a: Axis, b: Axis) -> Floats:
     """A smooth function of two columns, without what the table has of the position alone."""
-    product = a.smooth()[:, :, None] * b.smooth()[:, None, :]
-    kept = np.ones(product.shape[1:], dtype=bool)
-    kept[0, 0] = False
-    kept[:, 0] &= a.name != "target_mm"
-    kept[0, :] &= b.name != "target_mm"
-    return np.asarray(product[:, kept])
+    sizes = np.outer(np.sum(a.course**2, axis=0), np.sum(b.course**2, axis=0))
+    sizes[0, 0] = 0.0
+    sizes[:, 0] *= a.name != "target_mm"
+    sizes[0, :] *= b.name != "target_mm"
+    first, second = np.unravel_index(np.argsort(-sizes, axis=None)[: WIDTHS[-1]], sizes.shape)
+    kept = sizes[first, second] > THIN * float(np.max(sizes))
+    return np.asarray(a.course[:, first[kept]] * b.course[:, second[kept]])
 
 
 def thin(columns: Floats, most: int = 1000) -> Floats:

@@ -5,16 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg.lapack import dtrtri
-from scipy.stats import t as student
 
 from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.model.numeric import inverse_of_lower, log_density_of_student
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
 from hil.effects import Term
@@ -41,6 +41,10 @@ class Memory:
 
     ar: float
     rho: float
+
+    def power(self, alike: Floats) -> Floats:
+        """Power spectrum at the frequencies at which neighbouring rows are correlated so."""
+        return np.asarray(1.0 + self.ar**2 * (1.0 - self.rho**2) / (1.0 - 2.0 * self.rho * alike + self.rho**2))
 
 
 NO_MEMORY = Memory(0.0, 0.0)
@@ -109,11 +113,11 @@ class Rows:
     """y = fixed a + random b + … + scale (ε + memory), all over the white noise. given: the declared model, or None for a table that
     is fitted from these rows."""
 
-    def __init__(self, campaign: CampaignRows, given: Given | None = None, scale: Floats | None = None) -> None:
+    def __init__(self, campaign: CampaignRows, given: Given | None = None) -> None:
         self.campaign, self.given = campaign, given
         self.shape: Shape = SplineShape(campaign.basis) if given is None else given.shape
         self.n = len(campaign)
-        self.scale = np.ones(self.n) if scale is None else scale
+        self.scale = np.ones(self.n)
         self.y = campaign.error_um - (0.0 if given is None else given.model.error_um(campaign.columns))
         table = self.shape.columns(campaign.x, campaign.d)
         own = (campaign.run[:, None] == np.arange(campaign.runs)).astype(float)
@@ -144,7 +148,10 @@ class Rows:
 
     def with_scale(self, scale: Floats) -> Rows:
         """The same rows with another noise by row."""
-        return Rows(self.campaign, self.given, scale)
+        other = copy(self)
+        other.scale = scale
+        other._white, other._kept = {}, {}  # noqa: SLF001
+        return other
 
     @cached_property
     def stretches(self) -> list[slice]:
@@ -163,7 +170,7 @@ class Rows:
         if key not in self._roots:
             apart = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
             lower = np.linalg.cholesky(np.eye(rows) + memory.ar**2 * memory.rho**apart)
-            self._roots[key] = np.asarray(dtrtri(lower, lower=1)[0])
+            self._roots[key] = inverse_of_lower(lower)
         return self._roots[key]
 
     def white(self, columns: NDArray[Real], memory: Memory) -> NDArray[Real]:
@@ -176,6 +183,14 @@ class Rows:
             root = self._root(rows.stop - rows.start, memory).astype(columns.dtype, copy=False)
             out[rows] = root @ scaled[rows]
         return out
+
+    def unwhite(self, values: Floats, memory: Memory) -> Floats:
+        """The transpose of `white`: sums of whitened columns times values are those of the columns times this, (n,)."""
+        out = values.copy()
+        if memory.ar:
+            for rows in self.stretches:
+                out[rows] = self._root(rows.stop - rows.start, memory).T @ values[rows]
+        return np.asarray(out / self.scale)
 
     def white_again(self, columns: Singles, memory: Memory) -> Singles:
         """The same of columns that are asked for again and again, kept while there is room."""
@@ -220,7 +235,7 @@ def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
     z = z / max(1.4826 * float(np.median(np.abs(z))), 1e-12)
     sd = max(float(np.std(z)), 1e-12)
     normal = float(np.sum(-0.5 * (z / sd) ** 2)) - len(z) * math.log(sd * math.sqrt(2.0 * math.pi))
-    if float(np.sum(student.logpdf(z, USUAL.tail))) > normal + USUAL.named:
+    if float(np.sum(log_density_of_student(z, USUAL.tail))) > normal + USUAL.named:
         scale = scale * np.sqrt((USUAL.tail + z**2) / (USUAL.tail + 1.0))
     return np.asarray(scale / np.exp(np.mean(np.log(scale))))
 

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import rankdata
 
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Fit, Part, Scored
 from hil.diagnosis.model.intervals import terms_of
+from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.search import Found, Search
 from hil.diagnosis.model.unlogged import columns_of, share_of, unlogged
@@ -184,7 +184,7 @@ class Verdict:
     def _equivalent(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """By column, the others that move with it."""
         ranks = {
-            name: rankdata(self.campaign.columns[name])
+            name: ranks_of(self.campaign.columns[name])
             for name in sorted(self.campaign.survey.varying)
             if name not in ("run", "measured_mm", "command_mm", "row_order")
         }
