@@ -39,11 +39,20 @@ class Table:
         self._columns = columns.stacked
         ridge = np.full(self._columns.shape[1], 1.0 / ROUGH)
         ridge[: columns.free.shape[1]] = 1e-9
-        self._solver = np.linalg.solve(self._columns.T @ self._columns + np.diag(ridge), self._columns.T)
+        self._gram = self._columns.T @ self._columns
+        self._inverse = np.linalg.inv(self._gram + np.diag(ridge))
 
     def coefficients(self, columns: Floats) -> Floats:
         """Of the spline's columns (`SplineShape.columns`), (w, k)."""
-        return np.asarray(self._solver @ columns)
+        return np.asarray(self._inverse @ (self._columns.T @ columns))
+
+    def beside(self, columns: Floats) -> Floats:
+        """Share of the norm of each that it does not hold, (k,)."""
+        onto = self._columns.T @ columns
+        beta = self._inverse @ onto
+        whole = np.sum(columns * columns, axis=0)
+        left = whole - 2.0 * np.sum(beta * onto, axis=0) + np.sum(beta * (self._gram @ beta), axis=0)
+        return np.asarray(np.sqrt(np.maximum(left, 0.0) / np.maximum(whole, 1e-24)))
 
     def at(self, x_mm: Floats, direction: Floats) -> Floats:
         """The spline's columns at other places, (m, w)."""
@@ -56,16 +65,16 @@ class Table:
 
 @dataclass(frozen=True)
 class Grid:
-    """A form of an effect at its grid points: columns (n, G·k) in single precision."""
+    """A form of an effect at its grid points: its columns, one a row, (G·k, n), in single precision."""
 
     effect: Effect
     form: Form
     thetas: tuple[tuple[float, ...], ...]
-    columns: Singles
+    rows: Singles
 
     @property
     def k(self) -> int:
-        return int(self.columns.shape[1]) // len(self.thetas)
+        return len(self.rows) // len(self.thetas)
 
 
 @dataclass(frozen=True)
@@ -115,19 +124,19 @@ class Catalogue:
     def _add(self, effect: Effect, form: Form) -> None:
         columns = effect.bases(form, form.starts, self.campaign.columns)
         groups = columns.reshape(len(columns), len(form.starts), -1)
-        left = columns - self.table.held(columns)
-        share = np.linalg.norm(left, axis=0) / np.maximum(np.linalg.norm(columns, axis=0), 1e-12)
-        best = np.max(share.reshape(groups.shape[1:]), axis=1)
+        best = np.max(self.table.beside(columns).reshape(groups.shape[1:]), axis=1)
         self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
         kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > LEAST_BESIDE
         if not np.any(kept):
             return
-        scanned = left.reshape(groups.shape) if self.rows.is_declared and not effect.static else groups
+        scanned = groups
+        if self.rows.is_declared and not effect.static:
+            scanned = (columns - self.table.held(columns)).reshape(groups.shape)
         if effect.id in self._varying:
             scanned = np.concatenate(
                 [scanned, np.broadcast_to(self._mean[:, :, None], (*scanned.shape[:2], 1))], axis=2
             )
-        chosen = scanned[:, kept].reshape(len(columns), -1).astype(np.float32)
+        chosen = np.ascontiguousarray(scanned[:, kept].reshape(len(columns), -1).T, dtype=np.float32)
         thetas = tuple(tuple(theta) for theta, one in zip(form.starts, kept, strict=True) if one)
         self.grids.append(Grid(effect, form, thetas, chosen))
 
@@ -155,17 +164,13 @@ class Catalogue:
         """The grids by the number of columns of their candidates."""
         return [[grid for grid in self.grids if grid.k == k] for k in sorted({grid.k for grid in self.grids})]
 
-    @cached_property
-    def _stacks(self) -> list[Singles]:
-        return [np.hstack([grid.columns for grid in same]) for same in self._by_width]
-
     def ranked(self, fits: Sequence[Fit]) -> list[Ranked]:
         """Each form by each column at its best beside fits of the same parts, the best first."""
         top = max(fit.log_p for fit in fits)
         found: dict[int, Ranked] = {}
         for fit in fits:
-            for same, stack in zip(self._by_width, self._stacks, strict=True):
-                gains = fit.gains(stack, same[0].k)
+            for same in self._by_width:
+                gains = np.concatenate([fit.gains(grid.rows, grid.k, grid) for grid in same])
                 at = 0
                 for grid in same:
                     one = self._best(grid, fit, gains[at : at + len(grid.thetas)], fit.log_p - top)

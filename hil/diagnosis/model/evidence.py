@@ -25,6 +25,7 @@ from hil.effects import Effect, Form
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Singles = NDArray[np.float32]
 
 LOWEST = np.array([-7.0, -7.0, -5.0])
 HIGHEST = np.array([7.0, 7.0, math.log(0.8)])
@@ -224,6 +225,7 @@ class Fit:
         )
         self.design = np.hstack([rows.random, rows.fixed, columns.all])[:, order]
         self._r, self._x, self._q = r, x, q
+        self._base = order < q + x
         white = rows.whitened(noise.memory)
         own = rows.white(columns.all, noise.memory)
         self.white = np.hstack([white.base, own])[:, order]
@@ -233,9 +235,8 @@ class Fit:
         gram[np.diag_indices(len(gram))] += self.ridge
         gram[np.diag_indices(len(gram))] *= 1.0 + 1e-10
         self.inverse = inverse_of_lower(np.linalg.cholesky(gram))
-        self._onto = self.inverse @ self.white.T
-        self.beta = np.asarray(self.inverse.T @ (self._onto @ self.y))
-        self.rest = self.y - self._onto.T @ (self._onto @ self.y)
+        self.beta = np.asarray(self.inverse.T @ (self.inverse @ (self.white.T @ self.y)))
+        self.rest = self.y - self.white @ self.beta
         self.rss = float(self.y @ self.rest)
         self.dof = max(rows.n - x - columns.f - columns.k, 1)
 
@@ -290,14 +291,14 @@ class Fit:
         )
 
     @cached_property
-    def score(self) -> NDArray[np.float32]:
+    def score(self) -> Singles:
         """Derivative of the likelihood to what each row is said to have, (n,)."""
         return self.rows.unwhite(self.rest, self.noise.memory).astype(np.float32)
 
     def normal(self, columns: Floats) -> tuple[Floats, Floats]:
         """Normal equations of further columns (n, k) beside the fit: matrix (k, k), right side (k,)."""
         white = self.rows.white(columns, self.noise.memory)
-        onto = self._onto @ white
+        onto = self.inverse @ (self.white.T @ white)
         return white.T @ white - onto.T @ onto, white.T @ self.rest
 
     def gain(self, columns: Floats) -> float:
@@ -308,25 +309,24 @@ class Fit:
         left = 1.0 - float(b @ np.linalg.solve(a, b)) / self.rss
         return float(log_bayes(np.array(left), self.dof, len(b), self.rows.n))
 
-    def gains(self, columns: NDArray[np.float32], k: int) -> Floats:
-        """The same of groups of k columns side by side, (n, G·k): (G,); in single precision."""
-        white = self.rows.white_again(columns, self.noise.memory)
-        onto = self._single @ white
-        b = (self.rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
-        full = np.einsum("ij,ij->j", white, white).reshape(-1, k).astype(float)
-        if k == 1:
-            left = full[:, 0] - np.einsum("ij,ij->j", onto, onto)
-            t = np.where(left > LEAST_LEFT * full[:, 0], b[:, 0] ** 2 / np.maximum(left, 1e-30), 0.0)
-        else:
-            w, h = (m.reshape(len(m), -1, k).transpose(1, 2, 0) for m in (white, onto))
-            a = (w @ w.transpose(0, 2, 1)).astype(float) - h @ h.transpose(0, 2, 1)
-            a = a + np.eye(k) * (LEAST_LEFT * full.max(axis=1)[:, None, None] + 1e-20)
-            t = np.einsum("gi,gi->g", b, np.linalg.solve(a, b[:, :, None])[:, :, 0])
-        return log_bayes(1.0 - t / self.rss, self.dof, k, self.rows.n)
+    def gains(self, rows: Singles, k: int, of: object = None) -> Floats:
+        """The same of groups of k columns, one a row, (G·k, n): (G,); in single precision; of: see `Rows.reduced`."""
+        a, whole, b = self._products(rows, k, of)
+        a = a + np.eye(k) * (LEAST_LEFT * np.max(whole, axis=1)[:, None, None] + 1e-20)
+        solved = b / a[:, 0] if k == 1 else np.linalg.solve(a, b[:, :, None])[:, :, 0]
+        return log_bayes(1.0 - np.sum(b * solved, axis=1) / self.rss, self.dof, k, self.rows.n)
 
-    @cached_property
-    def _single(self) -> NDArray[np.float32]:
-        return np.asarray(self._onto, dtype=np.float32)
+    def _products(self, rows: Singles, k: int, of: object) -> tuple[Floats, Floats, Floats]:
+        """Of groups of k columns beside the fit: matrices (G, k, k), their diagonals without the fit (G, k), right sides (G, k)."""
+        reduced = self.rows.reduced(rows, k, self.noise.memory, of)
+        by_design = np.empty((len(rows), self.white.shape[1]), dtype=np.float32)
+        by_design[:, self._base] = reduced.by_base
+        own = self.rows.unwhite(self.white[:, ~self._base], self.noise.memory).astype(np.float32)
+        by_design[:, ~self._base] = rows @ own
+        h = (by_design @ self.inverse.T.astype(np.float32)).reshape(-1, k, by_design.shape[1])
+        a = (reduced.products - h @ h.transpose(0, 2, 1)).astype(float)
+        b = (rows @ self.score).reshape(-1, k).astype(float)
+        return a, np.diagonal(reduced.products, axis1=1, axis2=2).astype(float), b
 
     def gains_of(self, columns: Floats, rests: Floats) -> Floats:
         """What random columns would add to the log evidence if this were left, whitened, (n, m): (m,)."""
@@ -340,13 +340,10 @@ class Fit:
         gain, ratio = self._of_random(a[None], b[None])
         return float(gain[0]), float(ratio[0])
 
-    def random_gains(self, columns: NDArray[np.float32], k: int) -> Floats:
-        """The gains of groups of k random columns side by side, (n, G·k): (G,); in single precision."""
-        white = self.rows.white_again(columns, self.noise.memory)
-        onto = self._single @ white
-        b = (self.rest.astype(np.float32) @ white).reshape(-1, k).astype(float)
-        w, h = (m.reshape(len(m), -1, k).transpose(1, 2, 0) for m in (white, onto))
-        return self._of_random((w @ w.transpose(0, 2, 1) - h @ h.transpose(0, 2, 1)).astype(float), b)[0]
+    def random_gains(self, rows: Singles, k: int, of: object = None) -> Floats:
+        """The gains of groups of k random columns, one a row, (G·k, n): (G,); in single precision."""
+        a, _, b = self._products(rows, k, of)
+        return self._of_random(a, b)[0]
 
     def _of_random(self, a: Floats, b: Floats) -> tuple[Floats, Floats]:
         """Gain and variance of G random blocks from their normal equations, (G, k, k) and (G, k)."""

@@ -83,7 +83,9 @@ def highest(
     return y, x
 
 
-def lowest_by_simplex(cost: Callable[[Floats], float], simplex: Floats, most: int, enough: float) -> tuple[float, Floats]:
+def lowest_by_simplex(
+    cost: Callable[[Floats], float], simplex: Floats, most: int, enough: float
+) -> tuple[float, Floats]:
     """Lowest cost from a simplex, (k + 1, k), in so many evaluations, or until its corners differ by less than `enough`: Nelder and
     Mead, Computer Journal 7 (1965).
     """

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -69,6 +69,7 @@ class Axis:
         low, high = np.quantile(self.values, [0.02, 0.98])
         if high - low < 1e-9:
             low, high = self.values.min(), self.values.max()
+        self._waves: dict[tuple[float, ...], Singles] = {}
         self.u = np.clip((self.values - low) / max(high - low, 1e-12), -0.3, 1.3)
 
     @property
@@ -76,63 +77,65 @@ class Axis:
         return len(self.levels) <= MOST_LEVELS
 
     def waves(self, periods: Floats) -> Singles:
-        """Cosine and sine of each, or of each level all above it and itself, (n, K, 2)."""
-        if self.has_levels:
-            middle = (self.levels[1:] + self.levels[:-1]) / 2
-            above = self.values[:, None] > middle
-            only = above & (self.values[:, None] < np.append(middle[1:], np.inf))
-            return np.stack([above, only], axis=2).astype(np.float32)
-        angle = 2.0 * np.pi * np.outer(self.u, periods)
-        return np.stack([np.cos(angle), np.sin(angle)], axis=2).astype(np.float32)
-
-    @cached_property
-    def course(self) -> Floats:
-        """1 and the smooth functions in fewer columns, the largest first, (n, r)."""
-        smooth = self.smooth()
-        return np.column_stack([smooth[:, 0], thin(smooth[:, 1:])[:, ::-1]])
+        """Cosine and sine of each, or of each level all above it and itself, (K, 2, n); made once."""
+        key = tuple(periods.tolist())
+        if key not in self._waves:
+            if self.has_levels:
+                middle = (self.levels[1:] + self.levels[:-1])[:, None] / 2
+                above = self.values > middle
+                both = above, above & (self.values < np.append(middle[1:], [[np.inf]], axis=0))
+            else:
+                angle = 2.0 * np.pi * np.outer(periods, self.u)
+                both = np.cos(angle), np.sin(angle)
+            self._waves[key] = np.stack(both, axis=1).astype(np.float32)
+        return self._waves[key]
 
     def smooth(self, highest: float = SMOOTH) -> Floats:
         """1 and functions whose variance falls with frequency, (n, r)."""
+        one = np.ones((len(self.values), 1))
         if self.has_levels:
             here = (np.abs(self.values[:, None] - self.levels) < 1e-5).astype(float)
-            return np.column_stack([np.ones(len(here)), (here - here.mean(axis=0))[:, 1:]])
+            return np.hstack([one, (here - here.mean(axis=0))[:, 1:]])
         periods = np.arange(0.5, highest + 0.1, 0.5)
-        falling = self.waves(periods).astype(float) / np.sqrt(1.0 + periods**2)[None, :, None]
-        return np.column_stack([np.ones(len(falling)), falling.reshape(len(falling), -1)])
+        falling = self.waves(periods).astype(float) / np.sqrt(1.0 + periods**2)[:, None, None]
+        return np.hstack([one, falling.reshape(-1, len(one)).T])
+
+    @cached_property
+    def course(self) -> Singles:
+        """1 and the smooth functions in fewer, the largest first, (r, n)."""
+        smooth = self.smooth()
+        return np.hstack([smooth[:, :1], thin(smooth[:, 1:])[:, ::-1]]).T.astype(np.float32)
 
 
 @dataclass(frozen=True)
 class Waves:
-    """Products of functions of one column or two: every one of first (n, K, i) with every one of second (n, L, j), in groups of i·j
-    that have a prior of their own.
+    """Products of functions of one column or two: every one of first (K, i, n) with every one of second (L, j, n), in groups of i·j
+    that have a prior of their own; with the sign of the direction, (n,), or ones.
     """
 
     names: tuple[str, ...]
     first: Singles
     second: Singles
+    sign: Singles
 
     @property
     def k(self) -> int:
-        return self.first.shape[2] * self.second.shape[2]
+        return int(self.first.shape[1] * self.second.shape[1])
 
     @property
     def groups(self) -> int:
-        return self.first.shape[1] * self.second.shape[1]
+        return len(self.first) * len(self.second)
 
-    def times(self, values: Singles) -> Waves:
-        """Each multiplied by the values of the rows, (n,)."""
-        return replace(self, second=self.second * values[:, None, None])
-
-    def columns(self, group: int) -> Floats:
-        """Of one group, (n, k)."""
-        a, b = divmod(group, self.second.shape[1])
-        product = self.first[:, a, :, None] * self.second[:, b, None, :]
-        return np.asarray(product.reshape(len(product), -1), dtype=np.float64)
+    def block(self, group: int) -> Block:
+        """One group."""
+        a, b = divmod(group, len(self.second))
+        i, j = np.divmod(np.arange(self.k), self.second.shape[1])
+        return Block(self.names, self.first[a], self.second[b], self.sign, i, j)
 
     def sums(self, first: Singles, second: Singles) -> Floats:
-        """Sums over the rows of products of other functions, (n, K, i') and (n, L, j'), of the groups: (G, i'·j')."""
-        (n, k, i), (_, m, j) = first.shape, second.shape
-        sums = (first.reshape(n, -1).T @ second.reshape(n, -1)).reshape(k, i, m, j)
+        """Sums over the rows of products of other functions, (K, i', n) and (L, j', n), of the groups: (G, i'·j')."""
+        (k, i, n), (m, j, _) = first.shape, second.shape
+        sums = (first.reshape(-1, n) @ second.reshape(-1, n).T).reshape(k, i, m, j)
         return np.asarray(sums.transpose(0, 2, 1, 3).reshape(k * m, i * j), dtype=np.float64)
 
 
@@ -148,32 +151,62 @@ class Screen:
     alike: Floats
 
     @classmethod
-    def of(cls, waves: Waves, table: Singles, neighbours: NDArray[np.bool_]) -> Screen:
-        """table: orthonormal, (n, q); neighbours: of which rows the next is of the same run, (n - 1,)."""
+    def of(cls, waves: Waves, table: Singles, neighbours: Singles) -> Screen:
+        """table: orthonormal, (q, n); neighbours: 1 where the next row is of the same run, (n - 1,)."""
         a, b, k = waves.first, waves.second, waves.k
-        square = waves.sums(_pairs(a), _pairs(b)).reshape(-1, a.shape[2], a.shape[2], b.shape[2], b.shape[2])
+        square = waves.sums(_pairs(a), _pairs(b)).reshape(-1, a.shape[1], a.shape[1], b.shape[1], b.shape[1])
         product = square.transpose(0, 1, 3, 2, 4).reshape(-1, k, k)
-        by_table = b[:, :, :, None] * table[:, None, None, :]
-        held = waves.sums(a, by_table.reshape(*b.shape[:2], -1)).reshape(len(product), k, -1)
+        by_table = b[:, :, None, :] * (table * waves.sign)
+        held = waves.sums(a, by_table.reshape(len(b), -1, b.shape[2])).reshape(len(product), k, -1)
         whole = np.trace(product, axis1=1, axis2=2)
         left = product - held @ held.transpose(0, 2, 1)
         left += np.eye(k) * (LEAST_LEFT * whole[:, None, None] + 1e-12)
-        beside = waves.sums(a[1:] * a[:-1] * neighbours[:, None, None], b[1:] * b[:-1])
-        return cls(waves, np.linalg.inv(left), np.sum(beside, axis=1) / np.maximum(whole, 1e-12))
+        of_run = neighbours * waves.sign[1:] * waves.sign[:-1]
+        beside = waves.sums(a[:, :, 1:] * a[:, :, :-1] * of_run, b[:, :, 1:] * b[:, :, :-1])
+        return cls(
+            waves, np.asarray(np.linalg.inv(left), dtype=np.float64), np.sum(beside, axis=1) / np.maximum(whole, 1e-12)
+        )
 
     def likeliest(self, fit: Fit, most: int) -> Ints:
         """Groups that probably explain most of what a fit leaves."""
-        b = self.waves.sums(self.waves.first, self.waves.second * fit.score[:, None, None])
+        b = self.waves.sums(self.waves.first, self.waves.second * (fit.score * self.waves.sign))
         explained = np.einsum("gi,gij,gj->g", b, self.inverse, b) * fit.noise.memory.power(self.alike)
         return np.argsort(-explained)[:most].astype(np.int64)
 
 
 @dataclass(frozen=True)
 class Block:
-    """A random function of columns, (n, r)."""
+    """A random function of columns: products of functions of one column, (K, n), and of another, (L, n), with a sign, (n,).
+
+    i, j: which of them are multiplied with which, (r,)
+    """
 
     names: tuple[str, ...]
-    columns: Floats
+    first: Singles
+    second: Singles
+    sign: Singles
+    i: Ints
+    j: Ints
+
+    @classmethod
+    def of(cls, names: tuple[str, ...], rows: Singles, sign: Singles) -> Block:
+        """Of functions, (r, n)."""
+        at = np.arange(len(rows))
+        return cls(names, rows, np.ones_like(rows[:1]), sign, at, 0 * at)
+
+    @property
+    def width(self) -> int:
+        return len(self.i)
+
+    @property
+    def rows(self) -> Singles:
+        """Its columns, (r, n)."""
+        return np.asarray(self.first[self.i] * (self.second * self.sign)[self.j])
+
+    @property
+    def columns(self) -> Floats:
+        """The same, (n, r)."""
+        return self.rows.T.astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -197,45 +230,45 @@ class Remainder:
         far = {name for name in usable if name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM)}
         self.axes = {name: Axis(name, campaign.columns[name]) for name in usable if name not in far}
 
-    def _signed(self, block: Block) -> Iterator[Block]:
-        yield block
-        if self.d is not None:
-            yield Block((*block.names, "direction"), block.columns * self.d[:, None])
+    @cached_property
+    def _one(self) -> Singles:
+        return np.ones(len(self.campaign), dtype=np.float32)
 
-    def _with_sign(self, waves: Waves) -> Iterator[Waves]:
-        yield waves
+    def _signs(self, names: tuple[str, ...]) -> list[tuple[tuple[str, ...], Singles]]:
+        """Names of columns, and the sign of a function of them: none, and that of the direction."""
+        both = [(names, self._one)]
         if self.d is not None:
-            yield replace(waves.times(self.d.astype(np.float32)), names=(*waves.names, "direction"))
+            both.append(((*names, "direction"), self.d.astype(np.float32)))
+        return both
 
     @cached_property
     def screens(self) -> list[Screen]:
         """All waves."""
-        same_run = np.diff(self.campaign.run) == 0
+        same_run = (np.diff(self.campaign.run) == 0).astype(np.float32)
         return [Screen.of(one, self._plain_table, same_run) for one in self._waves()]
 
     @cached_property
     def _plain_table(self) -> Singles:
-        """Smooth functions of the position, alike and unlike in the directions, and offsets of the runs, orthonormal."""
+        """Smooth functions of the position, alike and unlike in the directions, and offsets of the runs, orthonormal, (q, n)."""
         u = (self.campaign.x - self.campaign.survey.centre_mm) / self.campaign.survey.half_span_mm
         smooth = np.polynomial.legendre.legvander(u, TABLE_ORDER)
         parts = [smooth] if self.d is None else [smooth, smooth * self.d[:, None]]
         if 1 < self.campaign.runs <= MOST_OFFSETS:
             parts.append((self.campaign.run[:, None] == np.arange(1, self.campaign.runs)).astype(float))
-        return np.asarray(np.linalg.qr(np.hstack(parts))[0], dtype=np.float32)
+        return np.asarray(np.linalg.qr(np.hstack(parts))[0].T, dtype=np.float32)
 
     def _waves(self) -> Iterator[Waves]:
-        one = np.ones((len(self.campaign), 1, 1), dtype=np.float32)
         for axis in self.axes.values():
-            if axis.name == "target_mm":
-                continue
-            own = self._with_sign(Waves((axis.name,), axis.waves(COARSE), one))
-            yield from (waves for waves in own if waves.names != (self.time,))  # that is a reading that wanders
+            for names, sign in self._signs((axis.name,)) if axis.name != "target_mm" else ():
+                if names != (self.time,):  # that is a reading that wanders
+                    yield Waves(names, axis.waves(COARSE), self._one[None, None], sign)
         for a, b in itertools.combinations(self.axes.values(), 2):
             first, second = (axis.waves(ALONG if axis.name == "target_mm" else COARSE) for axis in (a, b))
-            yield from self._with_sign(Waves((a.name, b.name), first, second))
+            for names, sign in self._signs((a.name, b.name)):
+                yield Waves(names, first, second, sign)
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
         if place is not None and time is not None:
-            yield Waves((place.name, time.name), place.waves(FINE_PLACE), time.waves(FINE_TIME))
+            yield Waves((place.name, time.name), place.waves(FINE_PLACE), time.waves(FINE_TIME), self._one)
         if place is not None and not place.has_levels:
             yield from self._turning(place)
 
@@ -245,21 +278,23 @@ class Remainder:
         turns = np.arange(TURNS[0], most, 0.34)
         if not len(turns):
             return
-        angle = 2.0 * np.pi * np.outer((place.values - place.values.min()) / np.ptp(place.values), turns)
-        wave = np.stack([np.cos(angle), np.sin(angle)], axis=2).astype(np.float32)
+        angle = 2.0 * np.pi * np.outer(turns, (place.values - place.values.min()) / np.ptp(place.values))
+        wave = np.stack([np.cos(angle), np.sin(angle)], axis=1).astype(np.float32)
         for axis in self.axes.values():
             if axis is not place:
                 z = (axis.u - axis.u.mean()).astype(np.float32)
-                changes = np.stack([z, z * z - np.mean(z * z)], axis=1)[:, None, :]
-                yield Waves((place.name, axis.name), wave, changes)
+                yield Waves((place.name, axis.name), wave, np.stack([z, z * z - np.mean(z * z)])[None], self._one)
 
     def _blocks(self) -> Iterator[Block]:
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
         for axis in self.axes.values():
             if axis is not place and axis is not time:  # the table, and a reading that wanders
-                yield from self._signed(Block((axis.name,), axis.course[:, 1:]))
+                for names, sign in self._signs((axis.name,)):
+                    yield Block.of(names, axis.course[1:], sign)
         for a, b in itertools.combinations(self.axes.values(), 2):
-            yield from self._signed(Block((a.name, b.name), _smooth_pair(a, b)))
+            i, j = _largest_products(a, b)
+            for names, sign in self._signs((a.name, b.name)):
+                yield Block(names, a.course, b.course, sign, i, j)
         if time is not None and not time.has_levels:
             yield from self._in_time(place, time)
         if place is not None:
@@ -267,33 +302,31 @@ class Remainder:
 
     def _in_time(self, place: Axis | None, time: Axis) -> Iterator[Block]:
         """A state that switches or wanders: with the direction, or along the travel."""
-        course = self._switching
+        waves = time.waves(SWITCHING) / np.hypot(1.0, SWITCHING / 3.0)[:, None, None]
+        course = np.vstack([self._one, waves.reshape(-1, len(self.campaign))])
         if self.d is not None:
-            yield Block((time.name, "direction"), thin(course[:, 1:] * self.d[:, None], WIDTHS[-1]))
+            rows = thin(course[1:].T * self.d[:, None], WIDTHS[-1]).T.astype(np.float32)
+            yield Block.of((time.name, "direction"), rows, self._one)
         if place is None:
             return
         for period in np.arange(0.5, 6.1, 0.5):
-            along = place.waves(np.array([period]))[:, 0].astype(float)
-            columns = (along[:, :, None] * course[:, None, :]).reshape(len(along), -1)
-            yield Block((place.name, time.name), thin(columns, WIDTHS[-1]))
-
-    @cached_property
-    def _switching(self) -> Floats:
-        """1 and functions of time whose amplitude falls as that of a state that switches or wanders, (n, r)."""
-        waves = self.axes[self.time].waves(SWITCHING) / np.hypot(1.0, SWITCHING / 3.0)[None, :, None]
-        return np.column_stack([np.ones(len(waves)), waves.reshape(len(waves), -1)])
+            along = place.waves(np.array([period]))[0]
+            columns = (along[:, None] * course).reshape(-1, len(self.campaign)).T
+            rows = thin(columns, WIDTHS[-1]).T.astype(np.float32)
+            yield Block.of((place.name, time.name), rows, self._one)
 
     def _of_rows(self, place: Axis) -> Iterator[Block]:
         """One run, or one row in every few, that follows the travel in a way of its own."""
-        along = place.smooth(IN_A_RUN)
+        along = thin(place.smooth(IN_A_RUN), WIDTHS[-1]).T.astype(np.float32)
         if self.campaign.runs > 1:
             for run in range(self.campaign.runs):
-                yield Block((place.name, "run"), along * (self.campaign.run == run)[:, None])
+                mine = (self.campaign.run == run).astype(np.float32)
+                yield Block.of((place.name, "run"), along, mine)
         order = np.arange(len(self.campaign))
         for cycle in range(3, LONGEST_CYCLE + 1):
             for first in range(cycle):
-                mask = (order % cycle == first)[:, None]
-                yield Block((place.name, "row_order"), along * mask)
+                mine = (order % cycle == first).astype(np.float32)
+                yield Block.of((place.name, "row_order"), along, mine)
 
     @cached_property
     def _batches(self) -> list[list[Block]]:
@@ -301,7 +334,7 @@ class Remainder:
         blocks = list(self._blocks())
         found = []
         for low, k in itertools.pairwise((0, *WIDTHS)):
-            mine = [one for one in blocks if low < one.columns.shape[1] <= k]
+            mine = [one for one in blocks if low < one.width <= k]
             found += [mine[i : i + TOGETHER] for i in range(0, len(mine), TOGETHER)]
         return found
 
@@ -315,22 +348,22 @@ class Remainder:
         price = math.log(2.0 * sum(screen.waves.groups for screen in self.screens) + 1.0)
         for k in sorted({screen.waves.k for screen in self.screens}):
             blocks = [
-                Block(screen.waves.names, screen.waves.columns(int(group)))
+                screen.waves.block(int(group))
                 for screen in self.screens
                 if screen.waves.k == k
                 for group in screen.likeliest(fit, CLOSELY)
             ]
-            gains = fit.gains(np.hstack([one.columns for one in blocks]).astype(np.float32), k)
+            gains = fit.gains(np.vstack([one.rows for one in blocks]), k)
             yield from (Found(gain - price, price, one) for gain, one in zip(gains.tolist(), blocks, strict=True))
 
     def _best_blocks(self, fit: Fit) -> Iterator[Found]:
         price = math.log(2.0 * sum(map(len, self._batches)) + 1.0)
         for batch in self._batches:
-            k = max(one.columns.shape[1] for one in batch)
-            wide = np.zeros((len(self.campaign), len(batch), k), dtype=np.float32)
+            k = max(one.width for one in batch)
+            wide = np.zeros((len(batch), k, len(self.campaign)), dtype=np.float32)
             for i, one in enumerate(batch):
-                wide[:, i, : one.columns.shape[1]] = one.columns
-            gains = fit.random_gains(wide.reshape(len(wide), -1), k) - price
+                wide[i, : one.width] = one.rows
+            gains = fit.random_gains(wide.reshape(-1, len(self.campaign)), k, batch) - price
             yield from (Found(gain, price, one) for gain, one in zip(gains.tolist(), batch, strict=True))
 
     def _hit(self, fit: Fit) -> Iterator[Found]:
@@ -342,13 +375,14 @@ class Remainder:
         far = away > FAR * 1.4826 * float(np.median(away))
         if place is None or not LEAST_HIT <= np.sum(far) <= len(far) / 4:
             return
-        block = Block((place.name, "row_order"), thin(place.smooth() * far[:, None], WIDTHS[0]))
+        columns = thin(place.smooth() * far[:, None], WIDTHS[0])
+        block = Block.of((place.name, "row_order"), columns.T.astype(np.float32), self._one)
         rng = np.random.default_rng(0)
         drawn = np.tile(fit.rest[:, None], (1, DRAWN))
         for one in drawn.T:
             one[far] = rng.permutation(one[far]) * rng.choice([-1.0, 1.0], int(np.sum(far)))
-        price = max(float(np.max(fit.gains_of(block.columns, drawn))), 0.0)
-        yield Found(fit.random_gain(block.columns)[0] - price, price, block)
+        price = max(float(np.max(fit.gains_of(columns, drawn))), 0.0)
+        yield Found(fit.random_gain(columns)[0] - price, price, block)
 
     @staticmethod
     def _part(found: Found, fit: Fit) -> Part:
@@ -359,20 +393,20 @@ class Remainder:
 
 
 def _pairs(functions: Singles) -> Singles:
-    """Products of the functions of one group with each other, (n, K, i): (n, K, i·i)."""
-    pairs = functions[:, :, :, None] * functions[:, :, None, :]
-    return np.asarray(pairs.reshape(*functions.shape[:2], -1))
+    """Products of the functions of one group with each other, (K, i, n): (K, i·i, n)."""
+    pairs = functions[:, :, None] * functions[:, None]
+    return np.asarray(pairs.reshape(len(functions), -1, functions.shape[2]))
 
 
-def _smooth_pair(a: Axis, b: Axis) -> Floats:
-    """A smooth function of two columns, without what the table has of the position alone."""
-    sizes = np.outer(np.sum(a.course**2, axis=0), np.sum(b.course**2, axis=0))
+def _largest_products(a: Axis, b: Axis) -> tuple[Ints, Ints]:
+    """Which functions of two columns make a smooth function of both, without what the table has of the position alone."""
+    sizes = np.outer(np.sum(a.course**2, axis=1), np.sum(b.course**2, axis=1))
     sizes[0, 0] = 0.0
     sizes[:, 0] *= a.name != "target_mm"
     sizes[0, :] *= b.name != "target_mm"
     first, second = np.unravel_index(np.argsort(-sizes, axis=None)[: WIDTHS[-1]], sizes.shape)
     kept = sizes[first, second] > THIN * float(np.max(sizes))
-    return np.asarray(a.course[:, first[kept]] * b.course[:, second[kept]])
+    return first[kept].astype(np.int64), second[kept].astype(np.int64)
 
 
 def thin(columns: Floats, most: int = 1000) -> Floats:

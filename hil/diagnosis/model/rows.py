@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,14 +22,13 @@ from hil.effects.model import Model
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
-Real = TypeVar("Real", np.float32, np.float64)
 
-LONGEST = 400
+LONGEST = 125
 """Rows of a run over which its memory is followed; of longer runs each such stretch has its own."""
 SLOWEST_SCALE = 4.0
 """Multiples of the usual residual at which one row counts for the scale of its group."""
-MOST_BYTES = 100_000_000
-"""Most bytes of whitened columns that are kept."""
+MOST_BYTES = 4_000_000
+"""Bytes of columns that are whitened together."""
 EVEN, ODD, OFFSET, GIVEN, KNOWN = 0, 1, 2, 3, 4
 """Random columns: table alike in both directions, unlike, offsets of runs; a declared table's and its terms', of variance 1."""
 
@@ -69,14 +67,6 @@ class Whitened:
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Columns, kept so that their identity stays theirs, and the same whitened."""
-
-    columns: Singles
-    white: Singles
-
-
-@dataclass(frozen=True)
 class Given:
     """A declared model as a prior: its table's shape, and the square root of each term's coefficient covariance over the noise's."""
 
@@ -109,6 +99,18 @@ class Given:
         return tuple(out)
 
 
+@dataclass(frozen=True)
+class Reduced:
+    """Groups of k columns under a memory: their products (G, k, k), and those with the base (G·k, q + f), in single precision.
+
+    of: what they are the columns of, kept so that its identity stays its own
+    """
+
+    products: Singles
+    by_base: Singles
+    of: object
+
+
 class Rows:
     """y = fixed a + random b + … + scale (ε + memory), all over the white noise. given: the declared model, or None for a table that
     is fitted from these rows."""
@@ -129,8 +131,8 @@ class Rows:
         kinds = [EVEN, ODD, OFFSET, GIVEN, *[KNOWN] * (len(parts) - 4)]
         self.group: Ints = np.repeat(kinds, widths).astype(np.int64)
         self._white: dict[Memory, Whitened] = {}
+        self._reduced: dict[tuple[int, Memory], Reduced] = {}
         self._roots: dict[tuple[int, Memory], Floats] = {}
-        self._kept: dict[tuple[int, Memory], Pair] = {}
 
     @property
     def is_declared(self) -> bool:
@@ -150,7 +152,7 @@ class Rows:
         """The same rows with another noise by row."""
         other = copy(self)
         other.scale = scale
-        other._white, other._kept = {}, {}  # noqa: SLF001
+        other._white, other._reduced = {}, {}
         return other
 
     @cached_property
@@ -169,20 +171,26 @@ class Rows:
         key = rows, memory
         if key not in self._roots:
             apart = np.abs(np.subtract.outer(np.arange(rows), np.arange(rows)))
-            lower = np.linalg.cholesky(np.eye(rows) + memory.ar**2 * memory.rho**apart)
+            lower = np.asarray(np.linalg.cholesky(np.eye(rows) + memory.ar**2 * memory.rho**apart), dtype=np.float64)
             self._roots[key] = inverse_of_lower(lower)
         return self._roots[key]
 
-    def white(self, columns: NDArray[Real], memory: Memory) -> NDArray[Real]:
+    def white(self, columns: Floats, memory: Memory) -> Floats:
         """Columns (n, k), or values (n,), over the noise of their rows."""
-        scaled = np.asarray((columns.T / self.scale.astype(columns.dtype)).T, dtype=columns.dtype)
+        scaled = np.asarray((columns.T / self.scale).T)
         if not memory.ar:
             return scaled
         out = np.empty_like(scaled)
         for rows in self.stretches:
-            root = self._root(rows.stop - rows.start, memory).astype(columns.dtype, copy=False)
-            out[rows] = root @ scaled[rows]
+            out[rows] = self._root(rows.stop - rows.start, memory) @ scaled[rows]
         return out
+
+    def white_rows(self, rows: Singles, memory: Memory) -> Singles:
+        """Columns as rows, (k, n), over the noise, in single precision."""
+        scaled: Singles = np.divide(rows, self.scale, dtype=np.float32)
+        for mine in self.stretches if memory.ar else ():
+            scaled[:, mine] = scaled[:, mine] @ self._root(mine.stop - mine.start, memory).T.astype(np.float32)
+        return scaled
 
     def unwhite(self, values: Floats, memory: Memory) -> Floats:
         """The transpose of `white`: sums of whitened columns times values are those of the columns times this, (n,)."""
@@ -190,18 +198,25 @@ class Rows:
         if memory.ar:
             for rows in self.stretches:
                 out[rows] = self._root(rows.stop - rows.start, memory).T @ values[rows]
-        return np.asarray(out / self.scale)
+        return np.asarray((out.T / self.scale).T)
 
-    def white_again(self, columns: Singles, memory: Memory) -> Singles:
-        """The same of columns that are asked for again and again, kept while there is room."""
-        if not memory.ar:
-            return self.white(columns, memory)
-        key = id(columns), memory
-        if key not in self._kept:
-            if sum(pair.white.nbytes for pair in self._kept.values()) + columns.nbytes > MOST_BYTES:
-                self._kept.clear()
-            self._kept[key] = Pair(columns, self.white(columns, memory))
-        return self._kept[key].white
+    def reduced(self, rows: Singles, k: int, memory: Memory, of: object = None) -> Reduced:
+        """Groups of k columns, one a row, (G·k, n); of: what is kept with them for the next time, None for nothing."""
+        key = id(of), memory
+        if of is None or key not in self._reduced:
+            base = self.whitened(memory).base.astype(np.float32)
+            size = k * max(MOST_BYTES // (4 * k * self.n), 1)
+            products, by_base = [], []
+            for first in range(0, len(rows), size):
+                white = self.white_rows(rows[first : first + size], memory)
+                groups = white.reshape(-1, k, self.n)
+                products.append(groups @ groups.transpose(0, 2, 1))
+                by_base.append(white @ base)
+            found = Reduced(np.concatenate(products), np.concatenate(by_base), of)
+            if of is None:
+                return found
+            self._reduced[key] = found
+        return self._reduced[key]
 
     def whitened(self, memory: Memory) -> Whitened:
         """Table, offsets and errors under a memory; made once."""

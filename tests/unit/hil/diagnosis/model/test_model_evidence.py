@@ -95,7 +95,7 @@ def test_a_random_part_gains_what_it_adds_to_the_evidence() -> None:
     apart = Fit(ROWS, [scaled], noise).log_p - Fit(ROWS, [], noise).log_p
     assert gain == pytest.approx(apart, abs=1e-6)
     both = np.hstack([block.random, part(random=4).random]).astype(np.float32)
-    assert Fit(ROWS, [], noise).random_gains(both, 4)[0] == pytest.approx(gain, abs=0.05)
+    assert Fit(ROWS, [], noise).random_gains(both.T, 4)[0] == pytest.approx(gain, abs=0.05)
 
 
 def test_the_factor_of_one_column_by_hand() -> None:
