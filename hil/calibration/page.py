@@ -210,6 +210,8 @@ def _next_step(screen: CalibrationScreen | None) -> str:
     if screen.verified is None:
         return "verify" if screen.tables or "after" in screen.stages else "calibrate"
     found = screen.verified.accuracy
+    if found is not None and found.A_um is None:
+        return "verify"
     return "diagnosis" if found is not None and found.decision is Decision.FAIL else "reports"
 
 
