@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
@@ -11,7 +12,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.drive import ServoDrive
+from drivers.drive import DriveSample, ServoDrive
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.scaling import AxisScaling
@@ -179,6 +180,28 @@ def test_the_speed_is_proven_by_the_clock_before_anything_moves_fast(factor: flo
     assert set(drive.told_mm_s[3:5]) <= {slowly}
     assert (HOW.velocity_mm_s in drive.told_mm_s) is (factor == 1.0)
     assert checks["speed"].detail.endswith("the axis was stopped") is stopped
+
+
+class Late(Faster):
+    """Read by a busy computer: it takes a while until a sample is asked for, and again until its answer is taken."""
+
+    def __init__(self, bench: Bench, factor: float, late_s: float) -> None:
+        super().__init__(bench, factor)
+        self.late_s, self.rng = late_s, random.Random(7)
+
+    def sample(self) -> DriveSample:
+        asked_ns = self.clock.now_ns()
+        self.clock.sleep_s(self.rng.uniform(0.0, self.late_s))
+        taken = super().sample()
+        self.clock.sleep_s(self.rng.uniform(0.0, self.late_s))
+        return replace(taken, time_ns=self.clock.now_ns(), since_ns=asked_ns)
+
+
+@pytest.mark.parametrize(("late_s", "factor"), [(0.05, 1.0), (0.15, 1.0), (0.25, 1.0), (0.15, 0.2), (0.05, 0.5)])
+def test_a_busy_computer_is_not_taken_for_a_wrong_unit_nor_hides_one(late_s: float, factor: float) -> None:
+    with Bench(PARAMETERS) as bench:
+        speed = examine(bench, Late(bench, factor, late_s))["speed"]
+    assert speed.good is (factor == 1.0), speed.detail
 
 
 def test_seconds_and_minutes_are_told() -> None:
