@@ -92,6 +92,14 @@ class _OneLineParser(argparse.ArgumentParser):
         self.exit(BAD_INPUT, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
+class _Version(argparse.Action):
+    """Prints the installed version; it is looked up only when asked for."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: object) -> NoReturn:
+        print(f"hil {import_module('importlib.metadata').version('hil')}")
+        parser.exit(DONE)
+
+
 _WRONG_CHOICE = re.compile(r"'([^']*)' \(choose from (.*)\)")
 
 
@@ -107,6 +115,7 @@ def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
         description="Measure a feed axis, correct it through its servo drive, prove it, and trace what is left.",
         epilog="hil VERB --help shows an example of each.",
     )
+    parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     subparsers = parser.add_subparsers(title="verbs", metavar="VERB", required=True, parser_class=_OneLineParser)
     verb = load_verb(argv)
     if verb is not None:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import tomllib
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -261,3 +262,10 @@ def test_an_output_that_its_reader_closes_is_an_error_that_names_what_was_lost(
     assert said.startswith("hil: the output was closed by its reader")
     assert says.replace("PLACE", str(tmp_path)) in said
     assert ("was not written" in said) == bool(says)
+
+
+def test_the_version_is_that_of_the_project(capsys: pytest.CaptureFixture[str]) -> None:
+    stated = tomllib.loads((Path(__file__).parents[4] / "pyproject.toml").read_text())["project"]["version"]
+    with pytest.raises(SystemExit, match="0"):
+        entry.main(["--version"])
+    assert capsys.readouterr().out == f"hil {stated}\n"
