@@ -6,10 +6,9 @@ import argparse
 import json
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 
@@ -229,16 +228,9 @@ def test_a_band_that_cannot_be_held_ends_with_both_figures(
     "script",
     ["commission", *(pytest.param(script, marks=pytest.mark.outside) for script in ("lost_motion", "close_the_loop"))],
 )
-def test_every_example_runs_as_shipped(axis: Path, script: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", f"hil.examples.{script}", str(axis)],
-        check=False,
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
-    assert done.returncode == 0, done.stderr
-    assert " µm" in done.stdout
+def test_every_example_runs_as_shipped(axis: Path, script: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert import_module(f"hil.examples.{script}").main(str(axis)) == 0
+    assert " µm" in capsys.readouterr().out
 
 
 # -- how to go on ----------------------------------------------------------------------------------------------------------
@@ -276,16 +268,14 @@ def last_line(capsys: pytest.CaptureFixture[str]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("verb", "options"),
+    ("verb", "options", "error"),
     [
-        ("calibrate", ()),
-        ("verify", ("--seed", "3")),
-        ("lost-motion", ("--only-measure", "--seed", "2")),
-        ("close-loop", ("--runs", "2", "--rows", "12", "--warm-up", "0", "--person", "none")),
+        ("calibrate", (), LinkLostError("pulled")),
+        ("calibrate", (), KeyError("us")),
+        ("verify", ("--seed", "3"), OSError(28, "No space")),
+        ("lost-motion", ("--only-measure", "--seed", "2"), KeyboardInterrupt()),
+        ("close-loop", ("--runs", "2", "--rows", "12", "--warm-up", "0", "--person", "none"), KeyboardInterrupt()),
     ],
-)
-@pytest.mark.parametrize(
-    "error", [KeyboardInterrupt(), LinkLostError("pulled"), OSError(28, "No space"), KeyError("us")]
 )
 def test_what_broke_off_ends_with_the_command_that_goes_on(
     axis: Path,

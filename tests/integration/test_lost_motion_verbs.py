@@ -103,7 +103,7 @@ def test_a_wrong_axis_file_is_one_line(
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("face", ["canopen", "modbus-vendor"])
+@pytest.mark.parametrize("face", ["modbus-vendor"])
 def test_nothing_to_correct_is_said_and_ends_well(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str
 ) -> None:

@@ -126,7 +126,7 @@ def test_a_campaign_goes_on_with_the_parameters_it_was_begun_with(
     assert main(["calibrate", str(path), "--resume"]) == 0
 
 
-@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
+@pytest.mark.parametrize("face", ["canopen"])
 def test_a_backlash_amount_is_not_written_beside_tables_that_take_the_reversal_out(
     face: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

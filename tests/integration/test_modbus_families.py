@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from study.modbus_families import FEED_MM, HOW, Rig, Scale, exercise, failures, family, table
+from study.modbus_families import FEED_MM, HOW, Result, Rig, Scale, exercise, failures, family, table
 from support.maker_drives import (
     FAMILIES,
     A6Rs,
@@ -47,9 +47,14 @@ def travelled_mm(rig: Rig) -> float:
 
 
 # -- right maps --------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def exercised() -> dict[str, Result]:
+    return {name: exercise(name) for name in FAMILIES}
+
+
 @pytest.mark.parametrize("name", FAMILIES)
-def test_a_family_does_everything_its_file_describes(name: str) -> None:
-    result = exercise(name)
+def test_a_family_does_everything_its_file_describes(name: str, exercised: dict[str, Result]) -> None:
+    result = exercised[name]
     assert abs(result.speed_percent) < 1.0
     assert abs(result.distance_mm) < 0.002
     assert abs(result.stop_mm) < 3.0
@@ -57,9 +62,9 @@ def test_a_family_does_everything_its_file_describes(name: str) -> None:
     assert result.homing == "yes" or load_drive_map(name).without_homing.startswith(result.homing)
 
 
-def test_the_table_of_the_documentation_is_the_one_printed() -> None:
+def test_the_table_of_the_documentation_is_the_one_printed(exercised: dict[str, Result]) -> None:
     page = Path(__file__).parents[2] / "hil" / "docs" / "drives_tested.md"
-    assert table([exercise(name) for name in FAMILIES]) in page.read_text(encoding="utf-8")
+    assert table(list(exercised.values())) in page.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -318,8 +323,7 @@ def test_a_speed_wrong_by_ten_is_caught(name: str, tmp_path: Path) -> None:
     assert way_mm < CAUGHT_WITHIN_MM
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.25, 4, 13.1072])
-@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize(("name", "factor"), list(zip(FAMILIES, 3 * (0.1, 0.25, 4, 13.1072), strict=True)))
 def test_wrong_counts_per_turn_are_caught(name: str, factor: float) -> None:
     counts, feed_mm = round(FAMILIES[name].counts_per_rev * factor), FEED_MM
     if load_drive_map(name).registers[load_drive_map(name).position].unit == "rev":  # counts do not matter there

@@ -21,7 +21,7 @@ SERIAL_ONLY = ("leadshine_el7", "lichuan_a6", "stepperonline_a6_rs", "aasd_15a")
 
 @pytest.mark.parametrize("name", SERIAL_ONLY)
 def test_a_family_does_on_a_line_what_it_does_over_tcp(name: str) -> None:
-    result = exercise(name, on_a_line=True)
+    result = exercise(name, "umodbus")
     assert abs(result.speed_percent) < 1.0
     assert abs(result.distance_mm) < 0.002
     assert abs(result.stop_mm) < 3.0

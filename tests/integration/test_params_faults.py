@@ -14,7 +14,7 @@ from support.parameter_rigs import maker_eds
 
 from hil.parameters.report import Ending
 
-EVERY = 37
+EVERY = 53
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -27,7 +27,7 @@ from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from sim_backends.clock import SimClock
 
-EVERY = 3  # request; 1 for all of them
+EVERY = 7  # request; 1 for all of them
 OUTAGE_S = 60.0
 KINDS = (
     *("lost request", "lost reply", "abort", "wrong value read", "node reboot", "process killed"),

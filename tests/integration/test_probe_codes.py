@@ -44,12 +44,11 @@ def machine(tmp_path: Path, face: str, program: str, codes: str = "", *, drive: 
 @pytest.mark.parametrize(
     ("face", "drive"),
     [
-        (probe_files.CANOPEN, "x"),
         (probe_files.CANOPEN, "spindle"),
         (probe_files.MODBUS, "x"),
         (probe_files.VIRTUAL, "y"),
     ],
-    ids=["canopen", "canopen-spindle", "modbus", "virtual"],
+    ids=["canopen", "modbus", "virtual"],
 )
 def test_a_control_measures_and_corrects(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str, drive: str

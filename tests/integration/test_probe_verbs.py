@@ -87,22 +87,22 @@ search_mm = 1.0
 
 
 @pytest.mark.parametrize(
-    ("face", "spindle_deg"),
+    ("face", "spindle_deg", "names"),
     [
-        (probe_files.CANOPEN, 217.0),
-        (probe_files.MODBUS, 30.0),
-        (probe_files.VIRTUAL, 90.0),
-        (probe_files.VIRTUAL, None),
+        (probe_files.CANOPEN, 217.0, ("face",)),
+        (probe_files.MODBUS, 30.0, ("reference",)),
+        (probe_files.VIRTUAL, 90.0, ("face", "angle", "boss", "reference")),
+        (probe_files.VIRTUAL, None, ("face", "angle", "boss", "reference")),
     ],
     ids=["canopen-217", "modbus-30", "virtual-90", "virtual-as-it-is"],
 )
 def test_other_measurements_are_corrected(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str, spindle_deg: float | None
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str, spindle_deg: float | None, names: tuple[str, ...]
 ) -> None:
     path, out = machine(tmp_path, drive=face, more=FEATURES + SEED), tmp_path / "out.json"
     assert main(["probe", "measure", str(path)]) == 0
     spindle = [] if spindle_deg is None else ["--spindle", str(spindle_deg)]
-    for name in ("face", "angle", "boss", "reference"):
+    for name in names:
         capsys.readouterr()
         assert main(["probe", name, str(path), *spindle, "--json", str(out)]) == 0
         said, found = capsys.readouterr().out, form(out)

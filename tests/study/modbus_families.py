@@ -5,12 +5,12 @@ PYTHONPATH=.:tests python -m study.modbus_families        prints the table of hi
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from support.maker_drives import FAMILIES, MakerDrive, served, served_on_a_line
+from support.maker_drives import FAMILIES, MakerDrive, MakerWire, served, served_on_a_line
 
 from drivers.drive import DriveLimits, DriveState
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
@@ -19,6 +19,7 @@ from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
+from drivers.modbus.wire import Wire
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import MeasurementConfig
 from hil.doctor.procedure import Check
@@ -49,14 +50,17 @@ def family(
     map_path: Path | None = None,
     maker: type[MakerDrive] | None = None,
     scaling: AxisScaling | None = None,
-    on_a_line: bool = False,
+    stack: str = "",
 ) -> Iterator[Rig]:
-    """A drive of a family behind pyModbusTCP, or on a serial line behind umodbus, and the driver that its map makes, not open."""
+    """A drive of a family and the driver that its map makes, not open.
+
+    stack: "pyModbusTCP" on loopback, "umodbus" on a serial line; by default no frames, each request goes to the drive's memory.
+    """
     clock = SimClock()
     made = (maker or FAMILIES[name])(clock)
     drive_map = load_drive_map(map_path or name)
-    with _endpoint(made, drive_map, on_a_line) as endpoint:
-        link = ModbusLink(endpoint, clock)
+    with _place(made, drive_map, stack) as (endpoint, make_wire):
+        link = ModbusLink(endpoint, clock, make_wire=make_wire)
         drive = ModbusDrive(
             "X",
             scaling or AxisScaling(made.counts_per_rev, FEED_MM),
@@ -70,14 +74,18 @@ def family(
 
 
 @contextmanager
-def _endpoint(made: MakerDrive, drive_map: DriveMap, on_a_line: bool) -> Iterator[Endpoint]:
+def _place(
+    made: MakerDrive, drive_map: DriveMap, stack: str
+) -> Iterator[tuple[Endpoint, Callable[[Endpoint], Wire] | None]]:
     bus = drive_map.registers.bus
-    if on_a_line:
+    if stack == "umodbus":
         with served_on_a_line(made, bus.baud) as (port, _):
-            yield RtuEndpoint(port, bus.baud, "N", bus.stop_bits, TIMEOUT_S)  # a pseudo-terminal refuses a parity
-    else:
+            yield RtuEndpoint(port, bus.baud, "N", bus.stop_bits, TIMEOUT_S), None  # a pseudo-terminal refuses a parity
+    elif stack == "pyModbusTCP":
         with served(made) as tcp:
-            yield TcpEndpoint("127.0.0.1", tcp, TIMEOUT_S)
+            yield TcpEndpoint("127.0.0.1", tcp, TIMEOUT_S), None
+    else:
+        yield TcpEndpoint("127.0.0.1", 0, TIMEOUT_S), lambda _endpoint: MakerWire(made)
 
 
 class Scale(DistanceInstrument):
@@ -127,10 +135,10 @@ class Result:
     requests: int = 0
 
 
-def exercise(name: str, *, on_a_line: bool = False) -> Result:
+def exercise(name: str, stack: str = "pyModbusTCP") -> Result:
     """Open, enable, home, move, quick stop, disable, close. Raises what the drive raises."""
     result = Result(name)
-    with family(name, on_a_line=on_a_line) as rig:
+    with family(name, stack=stack) as rig:
         drive, maker = rig.drive, rig.maker
         result.weak = sum(len(each) for each in drive.map.weak().values())
         with drive.proving(), drive:

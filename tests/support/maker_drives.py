@@ -3,14 +3,15 @@
 Written from register notes alone and apart from the maps in drivers/modbus/maps: addresses are numbers here, and no code is shared.
 Each drive has the difficulties that its notes name: a trigger that is processed later, path data that take 100 ms, addresses that
 swallow writes, functions that have to be assigned. `served` puts one behind pyModbusTCP on loopback, `served_on_a_line` behind umodbus
-on a serial line.
+on a serial line; `MakerWire` passes requests without frames.
 """
 
 from __future__ import annotations
 
+import math
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -30,6 +31,8 @@ from umodbus.server.serial import get_server
 from umodbus.server.serial.rtu import RTUServer
 from umodbus.utils import pack_exception_pdu
 
+from drivers.errors import AbortError
+from drivers.modbus.wire import Request
 from sim_backends.clock import SimClock
 from sim_backends.servo import MotionMode, ServoParameters, SimulatedServo
 
@@ -1020,6 +1023,32 @@ class _Handler(DataHandler):  # type: ignore[misc]
             return self.Return(EXP_ILLEGAL_FUNCTION)
         code = self._drive.write(address, list(words_l))
         return self.Return(code or EXP_NONE)
+
+
+class MakerWire:
+    """Requests to one drive as unit 1, without frames."""
+
+    connected = True
+
+    def __init__(self, drive: MakerDrive) -> None:
+        self._drive = drive
+
+    def connect(self, within_s: float = math.inf) -> None: ...
+    def disconnect(self) -> None: ...
+    def discard(self, silence_s: float) -> None: ...
+    def post(self, unit: int, requests: Sequence[Request]) -> None: ...
+
+    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
+        if request.function == 3:
+            words = self._drive.read(request.address, request.count)
+            if words is None:
+                raise AbortError("refused", int(EXP_DATA_ADDRESS))
+            return tuple(words)
+        allowed = request.function == 16 or (request.function == 6 and self._drive.single_writes)
+        code = self._drive.write(request.address, list(request.values)) if allowed else int(EXP_ILLEGAL_FUNCTION)
+        if code:
+            raise AbortError("refused", code)
+        return ()
 
 
 @contextmanager

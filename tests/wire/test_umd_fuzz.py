@@ -27,7 +27,7 @@ noise = st.one_of(
 
 
 @given(st.lists(noise, max_size=12))
-@settings(max_examples=300)
+@settings(max_examples=80)
 def test_nothing_upsets_the_decoder(chunks: list[bytes]) -> None:
     decoder = UmdDecoder()
     for chunk in chunks:

@@ -595,7 +595,7 @@ def check_what_was_read(data: bytes, heard: list[bytes], commands: tuple[int, ..
         assert last[0] & 1
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(kind=st.sampled_from(sorted(KINDS)), frames=st.lists(FRAMES, max_size=40))
 @example(kind="block upload", frames=A_BLOCK)
 @example(kind="block upload", frames=[b"\xc2" + MUX + b"\x14\0\0\0", *A_BLOCK[1:]])  # 20 bytes announced, 14 come

@@ -262,10 +262,10 @@ def test_records_of_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 def test_the_tolerance_that_was_asked_for_is_kept_or_refused(
     name: str, asked: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A curve that no straight lines hold, in both directions; 12 machines drawn at random. Judged by reading the file back."""
+    """A curve that no straight lines hold, in both directions; 4 machines drawn at random. Judged by reading the file back."""
     rng = np.random.default_rng(8)
     kept = refused = 0
-    for machine in range(12):
+    for machine in range(4):
         at = np.unique(np.round(rng.uniform(0.0, 500.0, 24), 1))
         table = np.cumsum(rng.normal(0.0, 2.0, len(at)))
         lost = rng.uniform(1.0, 8.0)
@@ -291,9 +291,9 @@ def test_the_tolerance_that_was_asked_for_is_kept_or_refused(
         where = np.linspace(at[0], at[-1], 4001)
         off = [np.max(np.abs(wanted.correction_um(where, sign) - found.correction_um(where, sign))) for sign in (1, -1)]
         assert max(off) <= asked + 1e-3
-    assert kept + refused == 12
+    assert kept + refused == 4
     if name == "fanuc" and asked == 0.3:
-        assert refused >= 6  # a detection unit of 1 µm rounds by up to 0.5
+        assert refused >= 2  # a detection unit of 1 µm rounds by up to 0.5
 
 
 @pytest.mark.parametrize("name", ["fanuc", "sinumerik", "twincat", "linuxcnc", "mach3", "mach4"])

@@ -186,7 +186,7 @@ def without_time(records: Records) -> list[list[float]]:
     return [[round(float(records[name][row]), 6) for name in names] for row in range(len(records))]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_interrupted_at_random_moments_and_resumed_it_ends_with_the_same_rows(tmp_path: Path, seed: int) -> None:
     whole = prepared(
         ToyMachine(temperatures={"screw": 21.0}),

@@ -100,7 +100,7 @@ def test_a_file_taken_up_again_goes_on_behind_its_rows(tmp_path: Path) -> None:
 
 
 @given(st.integers(0, 4), st.integers(0, 400), st.booleans())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=50, deadline=None)
 def test_torn_at_any_byte_what_was_whole_is_kept_and_what_was_torn_is_dropped(
     tmp_path_factory: pytest.TempPathFactory, rows: int, cut: int, comment: bool
 ) -> None:

@@ -354,7 +354,7 @@ FINDING = st.fixed_dictionaries(
         ),
     )
 )
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=40, deadline=None)
 def test_any_json_in_a_diagnosis_makes_a_page(found: dict[str, Any]) -> None:
     Page(section(found, None))
 
