@@ -9,13 +9,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from hil.diagnosis.diagnosing import diagnose
+    from hil.diagnosis.fitting import fit_model
+    from hil.diagnosis.model.diagnosing import diagnose
     from hil.diagnosis.result import Diagnosis, Figures, Finding, RivalFound
-    from hil.diagnosis.search.fit import fit_model
 
 __all__ = ["Diagnosis", "Figures", "Finding", "RivalFound", "diagnose", "fit_model"]
 
-_PLACES = {"diagnose": "diagnosing", "fit_model": "search.fit"}
+_PLACES = {"diagnose": "model.diagnosing", "fit_model": "fitting"}
 
 
 def __getattr__(name: str) -> Any:

@@ -16,7 +16,6 @@ from drivers.errors import InputError
 from hil.diagnosis.table import TableBasis, choose_knots
 from hil.effects import Survey, survey_of
 from hil.effects.history import complete
-from hil.effects.thermometers import most_noise
 from hil.records.rows import UM_PER_MM, Records, refuse_other_units
 
 Floats = NDArray[np.float64]
@@ -25,8 +24,6 @@ Ints = NDArray[np.int64]
 
 OF_A_MODEL = frozenset({"correction_um", "residual_um"})
 """Columns that `hil apply` writes: the output of a model cannot explain the rows."""
-SHORTEST_PASS = 5
-"""Mean rows of a pass below which noise is taken as correlated over neighbouring rows of the whole run."""
 
 
 @dataclass(frozen=True)
@@ -34,19 +31,16 @@ class CampaignRows:
     """n rows of a campaign.
 
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,)
-    run: index of the run 0 … r-1, (n,); sweep: index of the one-directional pass, ascending in time, (n,)
+    run: index of the run 0 … r-1, (n,)
     basis: of the declared table; repeated: its knots are repeated targets, between which nothing is known
-    scale: relative standard deviation of each row's noise, (n,); None where all rows have the same
     """
 
     columns: Mapping[str, Floats]
     error_um: Floats
     run: Ints
-    sweep: Ints
     basis: TableBasis
     repeated: bool
     survey: Survey
-    scale: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.error_um)
@@ -88,26 +82,16 @@ def campaign_of(columns: Mapping[str, Floats], error_um: Floats, pitches_mm: tup
         raise InputError(f"{len(error_um)} rows are too few for a fit; expected at least 4")
     direction = columns["direction"]
     _, run = np.unique(columns["run"], return_inverse=True)
-    sweep = _sweeps(run, direction)
     knots, repeated = choose_knots(columns["target_mm"], rows_per_pass(run, direction))
     both = bool(np.any(direction > 0) and np.any(direction < 0))
     return CampaignRows(
         columns=columns,
         error_um=error_um,
         run=run.astype(np.int64),
-        sweep=sweep.astype(np.int64),
         basis=TableBasis(knots, both),
         repeated=repeated,
         survey=survey_of(columns, pitches_mm),
     )
-
-
-def _sweeps(run: NDArray[np.intp], direction: Floats) -> NDArray[np.intp]:
-    """Passes in the order of time; whole runs where the direction changes too often for passes."""
-    new_run = np.concatenate([[False], np.diff(run) != 0])
-    turned = np.concatenate([[False], np.diff(direction) != 0])
-    passes = np.cumsum(new_run | turned)
-    return passes if len(run) >= SHORTEST_PASS * (int(passes[-1]) + 1) else np.cumsum(new_run)
 
 
 def rows_per_pass(run: NDArray[np.intp], direction: Floats) -> int:
@@ -183,13 +167,12 @@ class AllRows:
     """Every row of a campaign, with the selection that is searched and fitted.
 
     columns: completed, each (n,); error_um: of the uncorrected machine, (n,); kept: indices of the selection,
-    ascending, (m,); as_read: columns of slow sensors with their noise, (n,); step_mm: of a readout that is coarser than the noise
+    ascending, (m,); step_mm: of a readout that is coarser than the noise
     """
 
     columns: Mapping[str, Floats]
     error_um: Floats
     kept: Ints
-    as_read: Mapping[str, Floats]
     step_mm: float | None = None
 
     @classmethod
@@ -200,19 +183,13 @@ class AllRows:
         refuse_other_units(records)
         step_mm = coarse_step_mm(records)
         error_um = records.uncorrected_error_um + unread_um(len(records), step_mm)
-        read = {name: values for name, values in records.columns.items() if most_noise(name) is not None}
-        return cls(columns_of(records), error_um, kept_rows(records.run, seed), read, step_mm)
+        return cls(columns_of(records), error_um, kept_rows(records.run, seed), step_mm)
 
     @property
     def searched(self) -> CampaignRows:
         """The selected rows. Raises InputError for fewer than 4."""
         kept = {name: values[self.kept] for name, values in self.columns.items()}
         return campaign_of(kept, self.error_um[self.kept])
-
-    @property
-    def searched_as_read(self) -> dict[str, Floats]:
-        """The columns of the selected rows, with the noise of thermometers and of the air's sensors as a correction reads it."""
-        return {name: self.as_read.get(name, values)[self.kept] for name, values in self.columns.items()}
 
     def __len__(self) -> int:
         return len(self.error_um)

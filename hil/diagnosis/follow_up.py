@@ -3,7 +3,7 @@ separates each.
 
 `diagnosed` is the only way from records to a verdict: command, screen, loop, demo and fleet call it with all columns
 of the rows.
-`hil.diagnosis.verdict.hypotheses` weighs the causes, `hil.diagnosis.next.next_measurement` the runs.
+`hil.diagnosis.next.causes` weighs the causes, `hil.diagnosis.next.next_measurement` the runs.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import columns_of
-from hil.diagnosis.diagnosing import diagnose
+from hil.diagnosis.model.diagnosing import diagnose
+from hil.diagnosis.model.rivals import catalogue_says, to_show
+from hil.diagnosis.next.causes import LEAST, weigh
 from hil.diagnosis.next.next_measurement import Outlook, Prospect, outlook
 from hil.diagnosis.next.planned_run import Means, PlannedRun
-from hil.diagnosis.policy import policy
 from hil.diagnosis.result import Diagnosis, Finding, RivalFound
-from hil.diagnosis.verdict.hypotheses import weigh
-from hil.diagnosis.verdict.rivals import catalogue_says, to_show
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
 from hil.effects.user_effects import check_on
@@ -164,7 +163,7 @@ def ruled_out(
     rows, base = _against(finding, thinned(records), declared)
     weight = {cause.id: cause.weight for cause in weigh(rows, base, effects, beside)}
     suspects = {finding.effect, *(rival.effect for rival in finding.rivals if rival.effect in weight)}
-    left = {name for name in suspects if weight.get(name, 0.0) >= policy().least_confidence}
+    left = {name for name in suspects if weight.get(name, 0.0) >= LEAST}
     return suspects - left if left else set()
 
 

@@ -16,9 +16,9 @@ from hil.app.terminal.records_input import read_parts
 from hil.axis.axis_file import AxisConfig
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import FollowUp, diagnosed
+from hil.diagnosis.joining import joined
 from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.stored import sources
-from hil.diagnosis.verdict.hypotheses import joined
 from hil.effects.user_effects import attributing_errors, catalogue_with
 from hil.records.rows import Floats, Records
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.noise.repeats import PureError
+from hil.diagnosis.repeats import PureError
 from hil.effects import Action, Estimate, Term
 from hil.effects.model import Model
 from hil.effects.non_parametric import without_cause

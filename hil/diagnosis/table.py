@@ -16,7 +16,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.policy import policy
 from hil.effects.model import PitchTable
 
 Floats = NDArray[np.float64]
@@ -27,6 +26,8 @@ SAME_TARGET = 0.05
 MOST_KNOTS = 60
 """Most knots of a table."""
 KNOTS_PER_TARGET = 1.5
+UNKNOWN_SHARE = 0.5
+"""Standard deviation of the nodes of a declared table that states none, over the white noise."""
 
 
 def clusters(target_mm: Floats, spacing_mm: float) -> tuple[Floats, NDArray[np.int64]]:
@@ -225,7 +226,7 @@ class DeclaredShape:
         if k == 0 or not table.covariance_um2:
             nodes = np.unique(np.round(np.linspace(0, len(table.positions_mm) - 1, MOST_NODES)).astype(int))
             table = PitchTable(table.positions_mm, table.forward_um, table.backward_um, tuple(int(i) for i in nodes))
-            return cls(table, np.eye(2 * len(nodes)) * policy().unknown_share)
+            return cls(table, np.eye(2 * len(nodes)) * UNKNOWN_SHARE)
         values, vectors = np.linalg.eigh(np.array(table.covariance_um2))
         kept = values > 1e-9 * max(float(values[-1]), 1e-300)
         return cls(table, np.asarray(vectors[:, kept] * np.sqrt(values[kept]) / noise_um))
@@ -247,32 +248,6 @@ class DeclaredShape:
         before = np.stack([self.table.forward_um, self.table.backward_um])
         moved = np.stack([forward @ coefficients, backward @ coefficients])
         return _table(x, before + moved, nodes, root, covariance)
-
-
-@dataclass(frozen=True)
-class StaticPart:
-    """The part of further columns that a table can hold: their spline fit, one column of coefficients each, shape (w,
-    q).
-    """
-
-    shape: SplineShape
-    coefficients: Floats
-
-    def at(self, x_mm: Floats, direction: Floats) -> Floats:
-        """Values of the columns' static part, shape (n, q)."""
-        return np.asarray(self.shape.columns(x_mm, direction).stacked @ self.coefficients, dtype=np.float64)
-
-    def added_to(self, table: PitchTable, share: Floats) -> PitchTable:
-        """The table plus `share` (q,) of each column, on the table's positions."""
-        x = np.array(table.positions_mm)
-        forward, backward = (self.at(x, np.full(len(x), d)) @ share for d in (1.0, -1.0))
-        return PitchTable(
-            table.positions_mm,
-            _floats(np.array(table.forward_um) + forward),
-            _floats(np.array(table.backward_um) + backward),
-            table.nodes,
-            table.covariance_um2,
-        )
 
 
 def _table(x: Floats, error: Floats, nodes: NDArray[np.int64], root: Floats, covariance: Floats | None) -> PitchTable:

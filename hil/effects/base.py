@@ -252,15 +252,6 @@ class Effect(ABC):
         del form, theta
         return None
 
-    def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
-        """Whether with these parameters the effect is a feature of one place.
-
-        A table that has to hold such a feature comes out rough everywhere, so the effect is also tried with smoother
-        tables.
-        """
-        del form, theta, survey
-        return False
-
     def is_exceeded(self, form: Form, theta: Sequence[float]) -> bool:
         """Whether the records want more than the effect can be, at these parameters: then it is another effect, and is not
         ranked.

@@ -94,9 +94,6 @@ class LocalWear(Effect):
         columns_of = {BUMP: [zone], REVERSAL: [d * zone], BOTH: [zone, d * zone]}
         return np.column_stack(columns_of[name])
 
-    def is_local(self, form: Form, theta: Sequence[float], survey: Survey) -> bool:
-        return theta[1] <= NARROW * survey.half_span_mm
-
     def is_exceeded(self, form: Form, theta: Sequence[float]) -> bool:
         return theta[1] > AT_BOUND * form.nonlinear[1].upper
 

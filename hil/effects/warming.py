@@ -20,7 +20,6 @@ REFERENCE_C = 20.0
 """Reference temperature of geometrical product specifications, ISO 1."""
 TEMPERATURE = "temperature"
 LAGGED = "lagged temperature"
-UNSETTLED = "lagged temperature, unsettled at the start"
 WARMING = "warming since the start"
 SLOW_WARMING = "warming since the start through two lags"
 SINCE_START = (WARMING, SLOW_WARMING)
@@ -33,12 +32,6 @@ LAG = -1.5
 which is an Occam factor of 5 that the profile over it does not pay. Of 109 machines of the study with a slow cause (tuning seeds) two
 more names are right with -1.5 and a prior for the choice of the column than without both, and fresh errors are 6 % less in the mean.
 """
-AWAY = -3.0
-"""The same of a body that starts away from what its sensor says: one more coefficient, of any size. Of nine machines made by hand that
-start 1 to 3 K away it is said of eight with -1.5 and -3, of two with -6; of the three that had settled of none with each.
-"""
-SHORT_LAGS = 2
-"""Shortest lags of the grid from which none is tried that way: what is left of the start decays within a few rows."""
 UNMEASURED = -3.0
 """The same of a course of time where a temperature of the machine is logged, beside one through a lag: its time constant is free over
 a range of 180 to 1 and found to a tenth or so, a factor of 20.
@@ -238,26 +231,6 @@ def is_unlike_along(form: Form) -> bool:
     return form.name.endswith(UNLIKE_ALONG + ABOUT_A_POINT)
 
 
-def from_a_start(forms: Sequence[Form], survey: Survey) -> list[Form]:
-    """Of forms those by a temperature through a lag, for a body that starts away from what the sensor says.
-
-    No effect has them: what is left of such a start, e^(-t/lag), is a warm-up too, which comes back each morning, and from other rows
-    than those near the start it is an extrapolation. They are for rows that one has, and no model.
-    """
-    first = {"first_row": survey.time_start}
-    return [
-        replace(
-            form,
-            name=form.name.replace(LAGGED, UNSETTLED),
-            constants={**form.constants, **first},
-            starts=form.starts[SHORT_LAGS:],
-            log_odds=form.log_odds + AWAY,
-        )
-        for form in forms
-        if _course(form) == LAGGED and not is_unlike_along(form)
-    ]
-
-
 def as_far_as_seen(term: Term, columns: Columns, rows: Rows = ALL_ROWS) -> Term:
     """A term by a temperature, the rise of which counts no further than on some rows of these columns, or than it did."""
     free = _unbounded(term.form)
@@ -285,8 +258,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     """The temperature rise of a form, shape (n, 1): K above 20 °C, no further than its constants `SEEN` where it has them; or
     the fraction of the final rise (0 … 1). Raises KeyError for another form.
 
-    SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass; UNSETTLED one for what is left of the
-    difference at the start, as a share of it.
+    SLOW_WARMING has a second column, shape (n, 2), for heat that passes through a second mass.
     """
     name = _course(form)
     if name in SINCE_START:
@@ -294,7 +266,7 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         settled = 1.0 - np.exp(-x)
         return settled[:, None] if name == WARMING else np.column_stack([settled, x * np.exp(-x)])
     values = columns[form.inputs[0]] - REFERENCE_C
-    if name in (LAGGED, UNSETTLED):
+    if name == LAGGED:
         now = columns.get(through(form.inputs[0], theta[0]))
         values = lagged(columns[form.inputs[1]], values, theta[0]) if now is None else now - REFERENCE_C
     elif name != TEMPERATURE:
@@ -302,7 +274,4 @@ def rise(form: Form, theta: Sequence[float], columns: Columns) -> Floats:
     if SEEN[0] in form.constants:
         least, most = (form.constants[name] for name in SEEN)
         values = np.clip(values, least, most)
-    if name != UNSETTLED:
-        return np.asarray(values)[:, None]
-    passed = np.maximum(columns[form.inputs[1]] - form.constants["first_row"], 0.0)
-    return np.column_stack([values, np.exp(-passed / theta[0])])
+    return np.asarray(values)[:, None]

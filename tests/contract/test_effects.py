@@ -17,15 +17,12 @@ import pytest
 from support.catalogue import NAMES, NEVER_COMPENSATED
 
 from drivers.errors import InputError
-from hil.diagnosis.campaign import prepare
-from hil.diagnosis.search.structure import structures
 from hil.effects import ALL, Action, Effect, Form, Survey, Term, survey_of, term_from_json
 from hil.effects.base import Straight, Wave
 from hil.effects.history import complete
-from hil.effects.non_parametric import NonParametric
+from hil.effects.non_parametric import NonParametric, smooth_form, spread_of
 from hil.effects.user_effects import catalogue_with, effects_of_file
 from hil.examples import coolant_level
-from hil.records.rows import Records
 
 PARAMETERS = {"cyclic": {"period_mm", "amplitude_um", "phase"}}
 """Names that users of the JSON rely on."""
@@ -77,10 +74,12 @@ UNSEARCHED = Subject(NonParametric(), frozenset(), CATALOGUE_COLUMNS, CATALOGUE_
 
 def forms_of_structures() -> list[Form]:
     """One form of each kind that the diagnosis makes of what it cannot explain; no effect, but a term of models like any."""
-    errors_mm = CATALOGUE_COLUMNS["measured_mm"]  # what varies as an error does, for the effects
-    columns = {**CATALOGUE_COLUMNS, "measured_mm": CATALOGUE_COLUMNS["target_mm"] + errors_mm}
-    found = structures(prepare(Records.of(columns)))
-    return list({one.form.name: one.form for one in (*found.structures, *found.fine)}.values())
+    followed = (("load_kg",), ("temp_screw_c", "target_mm"))
+    return [
+        smooth_form(names, [spread_of(name, CATALOGUE_COLUMNS) for name in names], with_direction=signed)
+        for names in followed
+        for signed in (False, True)
+    ]
 
 
 def subjects(paths: Sequence[str]) -> list[Subject]:

@@ -19,8 +19,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.linear_model import lasso_path
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.search.candidates import enumerate_candidates
-from hil.diagnosis.search.fit import Choice
+from hil.diagnosis.model.evidence import Candidate
 from hil.effects import ALL, Action
 from hil.effects.history import complete
 from hil.records.rows import Records
@@ -67,16 +66,22 @@ class Data:
     error_um: Array
     run: Array
     columns: Array
-    choices: tuple[Choice, ...]
+    choices: tuple[Candidate, ...]
     owner: Array
 
     @classmethod
     def of(cls, records: Records) -> Data:
         campaign = prepare(records)
-        found = enumerate_candidates(campaign, ALL)
-        owner = np.repeat(np.arange(len(found)), found.blocks.width)
-        columns = found.blocks.columns
-        return cls(campaign.x, campaign.d, campaign.error_um, campaign.run, columns, found.choices, owner)
+        found = [
+            Candidate(effect, form, theta)
+            for effect in ALL
+            for form in effect.forms(campaign.survey)
+            if form.scan and not form.shrunk
+            for theta in form.starts
+        ]
+        columns = [one.effect.basis(one.form, one.theta, campaign.columns) for one in found]
+        owner = np.repeat(np.arange(len(found)), [one.shape[1] for one in columns])
+        return cls(campaign.x, campaign.d, campaign.error_um, campaign.run, np.hstack(columns), tuple(found), owner)
 
 
 class Table:

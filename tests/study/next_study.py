@@ -22,10 +22,10 @@ if not __package__:
 
 from study.planned_machine import AGAINST, ALONG, IN_TIME, USUAL_CROSS_MM, USUAL_LOAD_KG, PlannedMachine
 
+from hil.diagnosis import fit_model
+from hil.diagnosis.joining import is_set, joined
 from hil.diagnosis.next.next_measurement import Outlook, outlook
 from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns
-from hil.diagnosis.search.fit import fit_model
-from hil.diagnosis.verdict.hypotheses import is_set, joined
 from hil.records.rows import Records
 
 EFFECTS = (*AGAINST, *ALONG, *IN_TIME)

@@ -10,7 +10,7 @@ from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.app.terminal.output import print_facts, write_json
 from hil.app.terminal.records_input import read_effects, read_records
-from hil.diagnosis.search.declare import fit_with
+from hil.diagnosis.fitting import fit_model
 from hil.effects.user_effects import attributing_errors, check_on
 
 
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     with attributing_errors(wanted):
         try:
             check_on(wanted, records.columns)
-            model = fit_with(records, wanted)
+            model = fit_model(records, wanted)
         except InputError as error:
             raise error if error.path is not None else InputError(error.what, path=args.records[0]) from error
     replace_file(args.out, model.to_json().encode("utf-8"))

@@ -30,10 +30,10 @@ from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet
 from hil.diagnosis import Diagnosis, Figures, diagnose
 from hil.diagnosis.follow_up import FollowUp, diagnosed, follow_up, ruled_out
+from hil.diagnosis.joining import joined
 from hil.diagnosis.loop.next_run import means_of, measure_run
+from hil.diagnosis.next.next_measurement import DECIDED
 from hil.diagnosis.next.planned_run import PlannedRun
-from hil.diagnosis.policy import policy
-from hil.diagnosis.verdict.hypotheses import joined
 from hil.effects import ALL, Effect
 from hil.effects.base import Term
 from hil.effects.model import Model, PitchTable
@@ -340,4 +340,4 @@ def _in_doubt(diagnosis: Diagnosis) -> bool:
     A small further finding in doubt does not justify a run, since rows of another kind affect everything fitted to all
     of them together.
     """
-    return bool(diagnosis.findings) and diagnosis.findings[0].confidence < policy().decided
+    return bool(diagnosis.findings) and diagnosis.findings[0].confidence < DECIDED

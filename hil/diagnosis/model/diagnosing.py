@@ -24,10 +24,10 @@ from hil.diagnosis.model.rows import Given, Rows, row_scale
 from hil.diagnosis.model.search import Found, Search
 from hil.diagnosis.model.unlogged import share_of
 from hil.diagnosis.model.verdict import Verdict
-from hil.diagnosis.noise.repeats import pure_error
+from hil.diagnosis.repeats import pure_error
 from hil.diagnosis.result import Blind, Diagnosis, Figures, Finding, NoiseParts
 from hil.diagnosis.stored import can_be_held_out
-from hil.effects import Effect, Term
+from hil.effects import ALL, Effect, Term
 from hil.effects.history import stand_ins
 from hil.effects.model import Model
 from hil.effects.warming import as_far_as_seen, follows_a_temperature, is_bounded
@@ -43,8 +43,14 @@ SURE = 0.9
 """Posterior of an effect by its column from which its correction goes beyond what was seen."""
 
 
-def diagnose(records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> Diagnosis:
-    """As `hil.diagnosis.diagnosing.diagnose`."""
+def diagnose(
+    records: Records, declared: Model | None = None, *, effects: Sequence[Effect] = ALL, seed: int = 0
+) -> Diagnosis:
+    """Finds the effects that the declared model lacks.
+
+    declared: the known model or that in force; without it a bidirectional table is fitted from the records themselves
+    Raises InputError when the records are too few.
+    """
     started = time.perf_counter()
     with threadpool_limits(1, "blas"):  # many small products, slower with threads
         return replace(Case(records, declared, effects, seed).diagnosis(), seconds=time.perf_counter() - started)
@@ -126,7 +132,19 @@ class Case:
         fit = self.search.fit(parts)
         terms = self.verdict.terms if parts is self.found.parts else terms_of(fit)
         force = Force(fit, self._bounded(compensated(parts, terms)))
-        return InForce(force, force.left_out_um(self.rows, self.folds), tuple(notes))
+        return self._with_gain(InForce(force, force.left_out_um(self.rows, self.folds), tuple(notes)))
+
+    def _with_gain(self, taken: InForce) -> InForce:
+        """What is corrected, where it leaves less than the model before."""
+        live = taken.force.live
+        if not live or self._gains(taken.after_um):
+            return taken
+        names = dict.fromkeys(term.effect.id for term in live.values())
+        notes = (f"{name} is not corrected: runs left out are no better with it than without" for name in names)
+        return InForce(self.null, self.null.left_out_um(self.rows, self.folds), (*taken.notes, *notes))
+
+    def _gains(self, after_um: Floats) -> bool:
+        return Figures.of(after_um).rms_um < Figures.of(self.before_um).rms_um
 
     def _left_out(self, parts: tuple[Part, ...]) -> Floats:
         """What these parts all together leave on runs left out; about each run's mean beside a cause that no run predicts."""
@@ -163,9 +181,9 @@ class Case:
                 continue
             share = share_of({"": none, one.part.name: one.log_p})[one.part.name]
             small = {key: _times(term, share) for key, term in live.items()}
-            force = Force(fit, small)
+            force = Force(fit, small, share)
             after = force.left_out_um(self.rows, self.folds)
-            if not improves(nothing.after_um, after, self.folds.of_all):
+            if not improves(nothing.after_um, after, self.folds.of_all) or not self._gains(after):
                 return nothing
             (term,) = small.values()
             note = (

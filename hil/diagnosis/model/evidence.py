@@ -295,6 +295,11 @@ class Fit:
         """Derivative of the likelihood to what each row is said to have, (n,)."""
         return self.rows.unwhite(self.rest, self.noise.memory).astype(np.float32)
 
+    def beside(self, columns: Floats) -> Floats:
+        """Columns (n, k) over the noise of their rows, with the fit projected out."""
+        white = self.rows.white(columns, self.noise.memory)
+        return np.asarray(white - self.white @ (self.inverse.T @ (self.inverse @ (self.white.T @ white))))
+
     def normal(self, columns: Floats) -> tuple[Floats, Floats]:
         """Normal equations of further columns (n, k) beside the fit: matrix (k, k), right side (k,)."""
         white = self.rows.white(columns, self.noise.memory)

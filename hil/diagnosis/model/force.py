@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,10 +46,11 @@ class Folds:
 
 @dataclass(frozen=True)
 class Force:
-    """A fit, and by the id of its part each term of it that is in force."""
+    """A fit, and by the id of its part each term of it that is in force, with this share of its coefficients."""
 
     fit: Fit
     live: Mapping[int, Term]
+    share: float = 1.0
 
     def model(self) -> Model:
         """The extended model: the table, which keeps the mean of what is not in force and what it can hold of remainders, declared
@@ -65,12 +66,13 @@ class Force:
         for part in fit.parts:
             if part.is_remainder:
                 rest += fit.course_um(part)
-            elif id(part) not in live:
-                coefficients[0] += float(np.mean(fit.course_um(part)))
+            else:
+                share = self.share if id(part) in live else 0.0
+                coefficients[0] += (1.0 - share) * float(np.mean(fit.course_um(part)))
         if np.any(rest):
             coefficients += fit.held(rest)
         covariance = fit.covariance[np.ix_(at, at)] if uncertain else None
-        table = _with_held(rows.shape.tabulate(coefficients, covariance), fit, live)
+        table = _with_held(rows.shape.tabulate(coefficients, covariance), fit)
         about: dict[str, str | int | float] = {"rows": rows.n, "runs": rows.campaign.runs, "white_noise_um": fit.sigma}
         return Model(table, (*rows.declared_terms(fit.beta[: len(rows.group)]), *live.values()), about)
 
@@ -82,7 +84,7 @@ class Force:
         for part in self.fit.parts:
             if id(part) in self.live and part.of is not None:
                 kind, factor = ("random", part.of.ratio**0.5) if part.of.form.shrunk else ("free", 1.0)
-                beta = fit.beta[fit.where(part, kind)] * factor
+                beta = fit.beta[fit.where(part, kind)] * factor * self.share
                 live[id(part)] = replace(self.live[id(part)], coefficients=tuple(beta.tolist()))
         return self._model(fit, live, uncertain=False)
 
@@ -96,9 +98,9 @@ class Force:
         return left
 
 
-def _with_held(table: PitchTable, fit: Fit, live: Collection[int]) -> PitchTable:
-    """A declared table with what it had absorbed of the effects in force set right."""
-    held = [part for part in fit.parts if part.fixed.shape[1] and id(part) in live]
+def _with_held(table: PitchTable, fit: Fit) -> PitchTable:
+    """A declared table with what it had absorbed of the effects set right."""
+    held = [part for part in fit.parts if part.fixed.shape[1]]
     if not held:
         return table
     own = Table(fit.rows.campaign)

@@ -14,10 +14,16 @@ from hil.diagnosis.model.force import Folds, Force, improves
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.search import Search
 from hil.diagnosis.result import Diagnosis, Figures
-from hil.diagnosis.verdict.offer import AFTERWARDS, OPTION
 from hil.effects.non_parametric import CAUSE_UNKNOWN, NonParametric, smooth_form, spread_of
+from hil.effects.survey import READ_AFTER_MOTION
 
 Floats = NDArray[np.float64]
+
+OPTION = "--non-parametric"
+AFTERWARDS = frozenset({"run", "row_order", "measured_mm", *READ_AFTER_MOTION})
+"""Columns that are not known when a command is issued: counted in the records, or read at the capture after the
+motion.
+"""
 
 
 def smooth_part(part: Part, search: Search) -> Part | None:

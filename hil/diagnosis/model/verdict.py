@@ -9,16 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Fit, Part, Scored
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.rivals import not_told_apart, separating
 from hil.diagnosis.model.search import Found, Search
 from hil.diagnosis.model.unlogged import columns_of, share_of, unlogged
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
-from hil.diagnosis.verdict.rivals import separating
-from hil.diagnosis.verdict.unlogged import not_told_apart
 from hil.effects import Estimate, Term
 
 Floats = NDArray[np.float64]
@@ -109,7 +107,7 @@ class Verdict:
         other = (*alike, *finding.term.effect.stands_for(finding.term.form))
         for name in other:
             odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - USUAL.unlogged)
-        if finding.term.effect.once and self._switched(finding):
+        if finding.is_implausible or (finding.term.effect.once and self._switched(finding)):
             odds[OUTSIDE] = max(odds.get(OUTSIDE, -1e300), odds[finding.effect] - USUAL.unlogged)
         return share_of(odds)
 
@@ -219,8 +217,3 @@ def _is_vague(term: Term, rms_um: float, campaign: CampaignRows) -> bool:
     basis = term.effect.basis(term.form, term.theta, campaign.columns)
     std = np.sqrt(np.maximum(np.diag(np.array(term.covariance))[: basis.shape[1]], 0.0))
     return bool(np.all(std * np.std(basis, axis=0) > rms_um))
-
-
-def blind(catalogue: Catalogue) -> dict[str, float]:
-    """By effect, the share of it that is left beside the table."""
-    return dict(catalogue.beside)

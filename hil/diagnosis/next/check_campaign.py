@@ -17,10 +17,11 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import CampaignRows, prepare
-from hil.diagnosis.noise.evidence import LinearCampaign, Noise, Projection
-from hil.diagnosis.policy import policy
-from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
-from hil.diagnosis.verdict.hypotheses import unseen_causes
+from hil.diagnosis.model.candidates import ROUGH
+from hil.diagnosis.model.diagnosing import BLIND
+from hil.diagnosis.model.evidence import Fit, Noise
+from hil.diagnosis.model.rows import NO_MEMORY, Rows
+from hil.diagnosis.next.causes import unseen_causes
 from hil.effects import ALL, Effect, Form
 from hil.effects.cyclic import COMMON_MM
 from hil.records.rows import Records
@@ -39,6 +40,8 @@ MOST_POINTS = 7
 """Points of a form's grid that are evaluated."""
 MOST_ROWS = 2000
 MOTION = "velocity_mm_s"
+FREE, OFFSET = 1e6, 0.8
+"""Variance of a free table, and standard deviation of an offset of a run, over the white noise."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +87,9 @@ def check_campaign(
     with threadpool_limits(1, "blas"):
         campaign = prepare(records, pitches_mm)
         repeats = repeats_of(campaign.x, campaign.d)
-        projection = _projection(campaign)
-        parts = {effect.id: _parts(campaign, projection, effect) for effect in effects}
-        visible = tuple(name for name, part in parts.items() if part is not None and part.share >= policy().blind)
+        table = _table(campaign)
+        parts = {effect.id: _parts(campaign, table, effect) for effect in effects}
+        visible = tuple(name for name, part in parts.items() if part is not None and part.share >= BLIND)
         gaps = [
             *_repeat_gap(repeats),
             *_pitch_gaps(campaign, pitches_mm or COMMON_MM, pitches_mm),
@@ -104,10 +107,10 @@ def repeats_of(target_mm: Floats, direction: Floats) -> int:
     return len(keys) - len(np.unique(keys))
 
 
-def _projection(campaign: CampaignRows) -> Projection:
-    free = campaign.repeated
-    noise = Noise(offset=0.8) if free else Noise(offset=0.8, even=START_ROUGHNESS, odd=START_ROUGHNESS)
-    return LinearCampaign(campaign).projection(noise, campaign.error_um)
+def _table(campaign: CampaignRows) -> Fit:
+    """A table that is free at repeated targets and rough elsewhere, beside an offset of each run."""
+    rough = FREE if campaign.repeated else ROUGH
+    return Fit(Rows(campaign), (), Noise(NO_MEMORY, np.log([rough**0.5, rough**0.5, OFFSET])))
 
 
 @dataclass(frozen=True)
@@ -118,35 +121,25 @@ class _Part:
     forms: tuple[tuple[Form, Floats], ...]
 
 
-def _parts(campaign: CampaignRows, projection: Projection, effect: Effect) -> _Part | None:
+def _parts(campaign: CampaignRows, table: Fit, effect: Effect) -> _Part | None:
     """None where the records allow no form of the effect."""
     best, kept = 0.0, []
     forms = [form for form in effect.forms(campaign.survey) if form.scan]
     for form in forms:
-        grid = grid_choices(effect, form)
-        some = (
-            grid
-            if len(grid) <= MOST_POINTS
-            else [grid[i] for i in np.linspace(0, len(grid) - 1, MOST_POINTS).astype(int)]
-        )
-        for choice in some:
-            columns = choice.columns(campaign)
-            rest, share = _beside(projection, columns)
+        some = np.linspace(0, len(form.starts) - 1, min(len(form.starts), MOST_POINTS)).astype(int)
+        for theta in (form.starts[i] for i in some):
+            rest, share = _beside(table, effect.basis(form, theta, campaign.columns))
             best = max(best, share)
-            if share >= policy().blind and not form.shrunk:
+            if share >= BLIND and not form.shrunk:
                 kept.append((form, rest))
     return _Part(best, tuple(kept)) if forms else None
 
 
-def _beside(projection: Projection, columns: Floats) -> tuple[Floats, float]:
+def _beside(table: Fit, columns: Floats) -> tuple[Floats, float]:
     """Columns (n, k) with the table projected out, orthonormal, and the largest remaining share of a column's norm."""
-    scale = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    w = projection.prepared(columns / scale)
-    design = np.hstack([projection.whitened.table, projection.beside])
-    shadow = projection.shadow(w)
-    rest = w - design @ (projection.inverse_lower.T @ shadow)
-    share = float(np.max(np.linalg.norm(rest, axis=0)))
+    rest = table.beside(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     left, sizes, _ = np.linalg.svd(rest, full_matrices=False)
+    share = float(np.max(np.linalg.norm(rest, axis=0)))
     return np.asarray(left[:, sizes > max(1e-3 * float(sizes[0]), 1e-12)]), share
 
 
@@ -187,7 +180,7 @@ def _order_gap(campaign: CampaignRows) -> list[Gap]:
 
 
 def _blind_gaps(parts: dict[str, _Part | None]) -> list[Gap]:
-    shares = {name: part.share for name, part in parts.items() if part is not None and part.share < policy().blind}
+    shares = {name: part.share for name, part in parts.items() if part is not None and part.share < BLIND}
     if not shares:
         return []
     most = max(shares.values())
@@ -201,7 +194,7 @@ def _missing_gaps(campaign: CampaignRows, effects: Sequence[Effect], parts: dict
     wanted: dict[str, dict[str, None]] = {}
     for unseen in unseen_causes(campaign, effects):
         part = parts[unseen.effect.id]
-        if part is None or part.share < policy().blind:
+        if part is None or part.share < BLIND:
             wanted.setdefault(unseen.effect.id, {})[unseen.column] = None
     moving = replace(
         campaign.survey, varying=campaign.survey.varying | {MOTION}, mean={**campaign.survey.mean, MOTION: 1.0}

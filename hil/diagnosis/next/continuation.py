@@ -12,28 +12,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
-from hil.diagnosis.next.feasible import THERMOMETER
-from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns
-from hil.diagnosis.noise.evidence import Extra, LinearCampaign, Noise, Projection
-from hil.diagnosis.search.fit import START_ROUGHNESS, grid_choices
-from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
-from hil.diagnosis.verdict.hypotheses import (
+from hil.diagnosis.joining import SENSED, SET, is_set, segments
+from hil.diagnosis.model.candidates import ROUGH, Catalogue
+from hil.diagnosis.model.diagnosing import rows_of
+from hil.diagnosis.model.evidence import Candidate, Fit, Noise, Part
+from hil.diagnosis.model.rows import NO_MEMORY, Given, Rows
+from hil.diagnosis.next.causes import (
     ALONG,
     COURSES,
     IN_TIME,
     REST,
-    SENSED,
-    SET,
     Hypothesis,
     Unseen,
-    is_set,
     response,
-    searcher_of,
-    segments,
     smooth_courses,
     unseen_causes,
 )
-from hil.effects import Effect, Form
+from hil.diagnosis.next.feasible import THERMOMETER
+from hil.diagnosis.next.planned_run import Means, PlannedRun, motion_columns
+from hil.diagnosis.table import DeclaredShape
+from hil.effects import Effect, Form, Term
 from hil.effects.history import BRANCH, time_column
 from hil.effects.model import Model
 from hil.records.rows import Records
@@ -65,35 +63,25 @@ class Continuation:
 
     def __init__(self, records: Records, declared: Model | None, causes: Sequence[Hypothesis], means: Means) -> None:
         self.declared, self.means = declared, means
-        base = segments(records)[-1]
-        searcher = searcher_of(base, declared, [cause.effect for cause in causes])
-        self.base = searcher.linear.campaign
+        rows = rows_of(prepare(segments(records)[-1]), declared)
+        self.base = rows.campaign
         self.causes = [_as_in(self.base, cause) for cause in causes]
-        self.noise = Noise(offset=TYPICAL_OFFSET)
-        if declared is None:
-            self.noise = replace(self.noise, even=START_ROUGHNESS, odd=START_ROUGHNESS)
-        projection = searcher.projection(self.noise)
+        self.noise = Noise(NO_MEMORY, np.log([ROUGH**0.5, ROUGH**0.5, TYPICAL_OFFSET]))
+        self.terms: list[Term | None] = []
         self.so_far: list[Floats] = []
-        self.noise_um = np.inf
+        catalogue = Catalogue(rows, [cause.effect for cause in self.causes])
+        noise_um = []
         for cause in self.causes:
-            if cause.choice is not None:
-                fit = searcher.fit([cause.choice], self.noise)
-                self.so_far.append(fit.found[0].error_um(self.base.columns))
-                self.noise_um = min(self.noise_um, fit.white_um)
-            elif cause.unseen is not None:
-                design = cause.unseen.design
-                solution = projection.solve(design)
-                self.so_far.append(design @ solution.coefficients)
-                self.noise_um = min(self.noise_um, float(np.sqrt(solution.variance)))
-            else:
-                self.so_far.append(np.zeros(len(self.base)))
-        if not np.isfinite(self.noise_um):
-            self.noise_um = float(np.sqrt(projection.solve(np.zeros((len(self.base), 0))).variance))
-        self.shape: Shape | None = None if declared is None else DeclaredShape.of(declared.table, self.noise_um)
-        self.terms = [
-            searcher.fit([cause.choice], self.noise).found[0] if cause.choice is not None else None
-            for cause in self.causes
-        ]
+            part = _part(catalogue, cause)
+            fit = Fit(rows, () if part is None else (part,), self.noise)
+            self.terms.append(None if part is None or part.of is None else _term(fit, part, part.of))
+            self.so_far.append(np.zeros(rows.n) if part is None else fit.course_um(part))
+            noise_um.append(fit.sigma)
+        self.noise_um = min(noise_um)
+        self.given: Given | None = None
+        if declared is not None:
+            plain = declared.with_terms(())
+            self.given = Given(plain, DeclaredShape.of(plain.table, self.noise_um), ())
         self.apart_so_far = self._misfits(self.base, np.column_stack(self.so_far), None)
 
     def discrimination(self, run: PlannedRun) -> Floats:
@@ -246,38 +234,34 @@ class Continuation:
         """Σ(f_i - f_j)²/σ² with j fitted to the error by i (a column of `drawn`), beside table and offsets, shape
         (causes, causes).
         """
-        shape = SplineShape(campaign.basis) if self.shape is None else self.shape
-        linear = LinearCampaign(campaign, shape)
-        projection = linear.projection(self.noise, drawn)
+        rows = Rows(campaign, self.given)
+        fit = Fit(rows, (), self.noise)
+        whole = _left_of(fit, drawn)
         out = np.empty((len(self.causes), len(self.causes)))
+        loose = None
         for j, cause in enumerate(self.causes):
-            left = np.ones(drawn.shape[1])
             designs = self._designs(campaign, cause.effect, logged or {})
-            if designs:
-                left = np.minimum(left, _left(projection, designs))
-            if cause.choice is not None and cause.choice.form.shrunk:
-                random = cause.effect.basis(_refreshed(cause, campaign), cause.choice.theta, campaign.columns)
-                extra = Extra(random[:, :0], random * np.sqrt(max(cause.choice.variance, 1.0)))
-                left = np.minimum(left, linear.projection(self.noise, drawn, extra).rss / projection.rss)
-            out[:, j] = left * projection.rss
+            out[:, j] = np.minimum(whole, _left(fit, drawn, designs)) if designs else whole
+            if cause.shown is not None and cause.shown.form.shrunk:
+                loose = j
+                random = cause.effect.basis(_refreshed(cause, campaign), cause.shown.theta, campaign.columns)
+                free = Part(cause.id, (), random[:, :0], random * max(cause.shown.ratio, 1.0) ** 0.5, random[:, :0])
+                out[:, j] = np.minimum(out[:, j], _left_of(Fit(rows, (free,), self.noise), drawn))
         read = {name.split("_")[0] for name in logged or {}}
-        loose = [j for j, cause in enumerate(self.causes) if cause.choice is not None and cause.choice.form.shrunk]
         for j, cause in enumerate(self.causes):
-            free = [
-                u for u in unseen_causes(campaign, [cause.effect]) if u.wanders and u.column.split("_")[0] not in read
-            ]
-            if loose and free:
-                out[:, j] = np.minimum(out[:, j], out[:, loose[0]])
+            wandering = [u for u in unseen_causes(campaign, [cause.effect]) if u.wanders]
+            if loose is not None and any(u.column.split("_")[0] not in read for u in wandering):
+                out[:, j] = np.minimum(out[:, j], out[:, loose])
         out -= np.diag(out)[:, None]  # the misfit of a cause to its own prediction is no information
         return np.asarray(np.maximum(out, 0.0) / self.noise_um**2)
 
     def _designs(self, campaign: CampaignRows, effect: Effect, logged: Columns) -> list[Floats]:
         """Every way in which an effect could be fitted to records and run."""
         designs = [
-            choice.columns(campaign)
+            effect.basis(form, theta, campaign.columns)
             for form in effect.forms(campaign.survey)
             if form.scan and not form.shrunk
-            for choice in grid_choices(effect, form)
+            for theta in form.starts
         ]
         n, m = len(self.base), len(campaign) - len(self.base)
         old = {name: values[:n] for name, values in campaign.columns.items()}
@@ -294,12 +278,29 @@ class Continuation:
         return designs
 
 
+def _part(catalogue: Catalogue, cause: Hypothesis) -> Part | None:
+    """A cause as a part of the model of the records, None for one without a form there."""
+    if cause.shown is not None:
+        return catalogue.part(cause.shown, 0.0)
+    if cause.unseen is None:
+        return None
+    none = cause.unseen.design[:, :0]
+    return Part(cause.id, (), cause.unseen.design, none, none)
+
+
+def _term(fit: Fit, part: Part, shown: Candidate) -> Term | None:
+    """The term of a part, without its uncertainty; None for a shrunk form, which continues by itself."""
+    if shown.form.shrunk:
+        return None
+    return Term(shown.effect, shown.form, shown.theta, tuple(fit.beta[fit.where(part, "free")].tolist()), ())
+
+
 def _as_in(base: CampaignRows, cause: Hypothesis) -> Hypothesis:
     """A cause as it applies to these rows, which may lack the column of its form in other rows; without a form where
     none applies.
     """
-    choice, unseen = cause.choice, cause.unseen
-    if choice is not None and all(name in base.columns for name in choice.form.inputs):
+    unseen = cause.unseen
+    if cause.shown is not None and all(name in base.columns for name in cause.shown.form.inputs):
         return cause
     alike = [
         other
@@ -308,7 +309,7 @@ def _as_in(base: CampaignRows, cause: Hypothesis) -> Hypothesis:
         or (other.column, other.form.name, other.design.shape[1])
         == (unseen.column, unseen.form.name, unseen.design.shape[1])
     ]
-    return replace(cause, choice=None, unseen=alike[0] if alike else None)
+    return replace(cause, shown=None, unseen=alike[0] if alike else None)
 
 
 def _apart(before: Floats, after: Floats) -> Floats:
@@ -341,24 +342,27 @@ def _constant(unseen: Unseen, columns: Columns) -> Floats:
 
 def _refreshed(cause: Hypothesis, campaign: CampaignRows) -> Form:
     """The same form with its constants for these rows."""
-    form = cause.choice.form if cause.choice is not None else None
+    form = cause.shown.form if cause.shown is not None else None
     found = [f for f in cause.effect.forms(campaign.survey) if form is not None and f.name == form.name]
     return found[0]
 
 
-def _left(projection: Projection, designs: Sequence[Floats]) -> Floats:
-    """Remaining share of the squared errors (b,) after the best of some designs (n, k), shape (b,)."""
-    least = np.ones(np.shape(projection.rss))
+def _left_of(fit: Fit, drawn: Floats) -> Floats:
+    """Squares of some errors (n, b) that a fit leaves, over the noise, (b,)."""
+    return np.asarray(np.sum(fit.rows.white(drawn, fit.noise.memory) * fit.beside(drawn), axis=0).clip(1e-300))
+
+
+def _left(fit: Fit, drawn: Floats, designs: Sequence[Floats]) -> Floats:
+    """The same after the best of some designs (n, k)."""
+    rest = fit.beside(drawn)
+    most = np.zeros(drawn.shape[1])
     for width in sorted({design.shape[1] for design in designs}):
-        alike = [design for design in designs if design.shape[1] == width]
-        w = projection.prepared(np.hstack(alike))
-        shadow = projection.shadow(w)
-        blocks = w.reshape(len(w), -1, width).transpose(1, 0, 2)
-        hidden = shadow.reshape(len(shadow), -1, width).transpose(1, 0, 2)
-        gram = blocks.transpose(0, 2, 1) @ blocks
-        root = np.sqrt(np.maximum(np.einsum("ckk->ck", gram), 1e-300))
-        gram = (gram - hidden.transpose(0, 2, 1) @ hidden) / (root[:, :, None] * root[:, None, :])
-        b = (w.T @ projection.y - shadow.T @ projection.y_shadow).reshape(len(alike), width, -1) / root[:, :, None]
+        side = np.hstack([design for design in designs if design.shape[1] == width])
+        white = fit.rows.white(side, fit.noise.memory)
+        blocks, left = (m.reshape(len(m), -1, width).transpose(1, 0, 2) for m in (white, fit.beside(side)))
+        root = np.sqrt(np.maximum(np.sum(blocks**2, axis=1), 1e-300))
+        gram = blocks.transpose(0, 2, 1) @ left / (root[:, :, None] * root[:, None, :])
+        b = (white.T @ rest).reshape(len(blocks), width, -1) / root[:, :, None]
         explained = np.sum(b * np.linalg.solve(gram + HIDDEN * np.eye(width), b), axis=1)
-        least = np.minimum(least, 1.0 - np.max(explained, axis=0) / projection.rss)
-    return np.maximum(least, 0.0)
+        most = np.maximum(most, np.max(explained, axis=0))
+    return np.maximum(_left_of(fit, drawn) - most, 0.0)

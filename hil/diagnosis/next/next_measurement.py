@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.next.causes import LEAST, Hypothesis, weigh
 from hil.diagnosis.next.continuation import Continuation
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means, PlannedRun
-from hil.diagnosis.policy import policy
-from hil.diagnosis.verdict.hypotheses import Hypothesis, weigh
 from hil.effects import ALL, Effect, Term
 from hil.effects.model import Model
 from hil.records.rows import Records
@@ -27,10 +27,13 @@ from hil.records.rows import Records
 ENOUGH = 30.0
 """Discrimination Σ(f₁ - f₂)²/σ² beyond which two causes are separated and more has no value."""
 
+DECIDED = 0.95
+"""Weight of a cause from which no further run is made."""
+
 
 def least_told() -> float:
     """Discrimination below which a run does not separate a pair: the log odds that it brings are half of it."""
-    return 2.0 * policy().strong
+    return 2.0 * USUAL.richer
 
 
 @dataclass(frozen=True)
@@ -59,12 +62,12 @@ class Outlook:
     @property
     def decided(self) -> bool:
         """One cause has enough weight."""
-        return bool(self.causes) and self.causes[0].weight >= policy().decided
+        return bool(self.causes) and self.causes[0].weight >= DECIDED
 
     @property
     def rivals(self) -> tuple[Hypothesis, ...]:
         """Every cause of at least the least weight, the likeliest first."""
-        return tuple(cause for cause in self.causes if cause.weight >= policy().least_confidence)
+        return tuple(cause for cause in self.causes if cause.weight >= LEAST)
 
     @property
     def best(self) -> Prospect | None:
@@ -98,8 +101,8 @@ def outlook(
     """
     with threadpool_limits(1, "blas"):
         causes = weigh(records, declared, effects, beside)
-        left = [cause for cause in causes if cause.weight >= policy().least_confidence]
-        if len(left) < 2 or left[0].weight >= policy().decided:
+        left = [cause for cause in causes if cause.weight >= LEAST]
+        if len(left) < 2 or left[0].weight >= DECIDED:
             return Outlook(causes, ())
         runs = feasible_runs(means, first_run=int(np.max(records.run)) + 1, seed=seed)
         runs = tuple(run for run in runs if (persons or not run.person) and run.name not in made)

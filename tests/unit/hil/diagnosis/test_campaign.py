@@ -1,4 +1,4 @@
-"""Records as the arrays of a diagnosis: runs, one-directional passes, and where the table's knots stand."""
+"""Records as the arrays of a diagnosis: runs, and where the table's knots stand."""
 
 from __future__ import annotations
 
@@ -11,16 +11,9 @@ from hil.diagnosis.campaign import prepare
 from hil.records.rows import Records
 
 
-def test_a_pass_ends_at_a_reversal_and_at_the_end_of_a_run() -> None:
+def test_runs_are_counted_in_the_order_of_their_numbers() -> None:
     prepared = prepare(campaign(runs=3, targets=6))
     np.testing.assert_array_equal(prepared.run, np.repeat([0, 1, 2], 12))
-    np.testing.assert_array_equal(prepared.sweep, np.repeat(np.arange(6), 6))
-
-
-def test_a_run_that_turns_at_every_row_has_no_passes_shorter_than_itself() -> None:
-    columns = dict(campaign(runs=3, targets=6).columns)
-    prepared = prepare(Records.of(columns | {"direction": np.tile([1.0, -1.0], 18)}))
-    np.testing.assert_array_equal(prepared.sweep, prepared.run)
 
 
 def test_the_error_is_that_of_the_uncorrected_machine() -> None:

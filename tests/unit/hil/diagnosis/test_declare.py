@@ -7,8 +7,7 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from drivers.errors import InputError
-from hil.diagnosis.search.declare import fit_with
-from hil.diagnosis.search.fit import fit_model
+from hil.diagnosis import fit_model
 from hil.effects.beam_drift import BeamDrift
 from hil.effects.lost_motion import LostMotion
 from hil.effects.velocity_lag import VelocityLag
@@ -32,7 +31,7 @@ def machine(c: dict[str, Array]) -> Array:
 
 def test_both_effects_are_in_the_model_with_the_parameters_of_the_machine() -> None:
     records = campaign(machine, sensors=sensors)
-    model = fit_with(records, [LostMotion(), VelocityLag()])
+    model = fit_model(records, [LostMotion(), VelocityLag()])
     assert set(model.declared) == {"pitch_table", "lost_motion", "velocity_lag"}
     of = {term.effect.id: term for term in model.terms}
     assert of["velocity_lag"].coefficients[0] == pytest.approx(0.01, abs=0.002)
@@ -44,12 +43,12 @@ def test_both_effects_are_in_the_model_with_the_parameters_of_the_machine() -> N
 
 def test_none_at_all_is_the_table_alone() -> None:
     records = campaign(wavy)
-    assert fit_with(records, []) == fit_model(records)
+    assert fit_model(records).declared == ["pitch_table"]
 
 
 def test_what_cannot_be_corrected_or_seen_is_refused_by_name() -> None:
     records = campaign(wavy)
     with pytest.raises(InputError, match="beam_drift is never corrected"):
-        fit_with(records, [BeamDrift()])
+        fit_model(records, [BeamDrift()])
     with pytest.raises(InputError, match="cannot show velocity_lag: a column is missing"):
-        fit_with(records, [VelocityLag()])
+        fit_model(records, [VelocityLag()])

@@ -11,15 +11,13 @@ import pytest
 
 from hil.app.panel.texts import LANGUAGES, Texts
 from hil.diagnosis.follow_up import ALONE_MIN
+from hil.diagnosis.model.rivals import separating
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
 from hil.diagnosis.page_data import ShownFinding, _finding
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
-from hil.diagnosis.verdict.held_out import suspected_note
-from hil.diagnosis.verdict.rivals import separating
-from hil.diagnosis.verdict.unlogged import SENSORS
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
@@ -29,6 +27,7 @@ LATIN = re.compile(r"[A-Za-z]{4,}")
 RIVALS = (RivalFound("abbe", 0.21, ""), RivalFound("thermal_drift", 0.2, ""))
 OURS = {"setup", "abbe_offset_mm"}
 """Names of columns that are to be typed."""
+SENSORS = ("load_kg", "torque_percent", "pitch_urad", "yaw_urad", "pos_y_mm", "air_temp_c", "temp_screw_c")
 
 
 def columns(*beside: str, rows: int = 40) -> dict[str, np.ndarray]:
@@ -195,17 +194,18 @@ def test_parts_of_what_is_said_are_said_too() -> None:
     de = Texts("de")
     assert de.said("before-3 warming") == "Erkundung 3 Erwärmen"
     assert de.said("12.345 mm") == "12,345 mm"
-    assert de.said("abbe fits these rows but does not help on runs left out: not taken").startswith("Abbe-Fehler passt")
+    assert de.said("abbe is not corrected: runs left out are no better with it than without").startswith(
+        "Abbe-Fehler wird"
+    )
     assert de.said("since_reversal_mm is missing: made up from the row order").startswith("Weg seit der Umkehr fehlt")
     assert de.said("temp_screw_c × target_mm; load_kg") == "Temperatur Spindel × Position; Last"
     assert de.said("temp_screw_c") == "Temperatur Spindel"
     assert de.said("Temp screw, °C") == "Temperatur Spindel, °C"
-    faint = suspected_note(
-        Finding(term(ALL[0], next(iter(ALL[0].forms(survey_of(columns())))), columns()), 0.3, RIVALS, 0.2)
+    suspected = (
+        "abbe is suspected (posterior 0.31): noise may make as much, so it is no finding; the extended model holds that share"
+        " of it. An arm."
     )
-    assert de.said(faint).startswith(
-        "Verdacht auf „zyklischer Fehler“ (0,2 µm effektiv, Sicherheit 0,30; Abbe-Fehler 0,21; "
-    )
+    assert de.said(suspected).startswith("Verdacht auf „Abbe-Fehler“ (Wahrscheinlichkeit 0,31): ")
     assert Texts("zh").said("the drive said 0.5 things") == "the drive said 0.5 things"
 
 

@@ -7,9 +7,11 @@ import pytest
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.noise.evidence import LinearCampaign, Noise
+from hil.diagnosis.model.evidence import Fit, Noise
+from hil.diagnosis.model.rows import NO_MEMORY, Given, Rows
 from hil.diagnosis.table import DeclaredShape, SplineShape, TableBasis
-from hil.effects.model import PitchTable
+from hil.effects.model import Model, PitchTable
+from hil.records.rows import Records
 
 KNOTS = np.linspace(0.0, 90.0, 7)
 SHAPE = SplineShape(TableBasis(KNOTS, both_directions=True))
@@ -45,31 +47,30 @@ def test_the_covariance_at_the_nodes_is_that_of_what_is_read_there() -> None:
     assert np.max(np.abs(read.T @ read / 800 - expected) / size) < 0.2
 
 
+def moved(table: PitchTable, records: Records) -> PitchTable:
+    """A declared table as rows with a noise of 0.3 µm move it."""
+    rows = Rows(prepare(records), Given(Model(table), DeclaredShape.of(table, noise_um=0.3), ()))
+    fit = Fit(rows, (), Noise(NO_MEMORY, np.zeros(3)))
+    return rows.shape.tabulate(fit.beta[fit.of_table()])
+
+
 @pytest.mark.parametrize(("std_um", "moves"), [(0.003, False), (3.0, True)])
 def test_a_declared_table_moves_as_far_as_its_uncertainty_allows(std_um: float, moves: bool) -> None:
     """Errors that bend away from it by 1 µm: a table known to 3 nm stays where it is, one known to 3 µm follows."""
-    prepared = prepare(campaign(lambda c: 1.0 * np.sin(c["target_mm"] / 40.0), noise_um=0.3, runs=4))
+    campaign_rows = campaign(lambda c: 1.0 * np.sin(c["target_mm"] / 40.0), noise_um=0.3, runs=4)
+    prepared = prepare(campaign_rows)
     nodes = np.linspace(0.0, 300.0, 13)
     flat = tuple(np.zeros(13))
     covariance = tuple(tuple(row) for row in std_um**2 * np.eye(26))
-    declared = DeclaredShape.of(PitchTable(tuple(nodes), flat, flat, tuple(range(13)), covariance), noise_um=0.3)
-    linear = LinearCampaign(prepared, declared)
-    width = linear.table.table_width
-    solution = linear.projection(Noise(), prepared.error_um).solve(np.zeros((len(prepared), 0)))
-    table = declared.tabulate(solution.table[:width])
+    table = moved(PitchTable(tuple(nodes), flat, flat, tuple(range(13)), covariance), campaign_rows)
     left = np.std(prepared.error_um - table.error_um(prepared.x, prepared.d))
     assert bool(left < 0.35) == moves
     assert bool(np.std(table.forward_um) > 0.5) == moves
 
 
 def test_a_declared_table_may_always_move_by_a_constant() -> None:
-    prepared = prepare(campaign(lambda c: wavy(c) + 5.0, noise_um=0.01))
     nodes = np.linspace(0.0, 300.0, 61)
     forward, backward = (3.0 * np.sin(nodes / 70.0) - 0.8 * d for d in (1.0, -1.0))
     exact = PitchTable(tuple(nodes), tuple(forward), tuple(backward), (0, 60), tuple(map(tuple, 1e-12 * np.eye(4))))
-    declared = DeclaredShape.of(exact, noise_um=0.3)
-    linear = LinearCampaign(prepared, declared)
-    y = prepared.error_um - exact.error_um(prepared.x, prepared.d)
-    solution = linear.projection(Noise(), y).solve(np.zeros((len(prepared), 0)))
-    moved = np.array(declared.tabulate(solution.table[: linear.table.table_width]).forward_um) - forward
-    np.testing.assert_allclose(moved, 5.0, atol=0.01)
+    after = moved(exact, campaign(lambda c: wavy(c) + 5.0, noise_um=0.01))
+    np.testing.assert_allclose(np.array(after.forward_um) - forward, 5.0, atol=0.01)

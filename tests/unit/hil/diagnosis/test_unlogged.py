@@ -6,16 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pytest
-from support.workshop import Floats, workshop
+from support.workshop import Floats
 
 from drivers.edlen import refractivity
 from hil.diagnosis import diagnose
-from hil.diagnosis.campaign import prepare
+from hil.diagnosis.model.rivals import PPM_PER_UNIT, is_within_a_pass, not_told_apart, separating
 from hil.diagnosis.result import Finding
-from hil.diagnosis.verdict.rivals import beside_unseen_causes, beside_what_is_left, with_rivals
-from hil.diagnosis.verdict.unlogged import PPM_PER_UNIT, SENSORS, is_within_a_pass, not_told_apart, unrecorded
 from hil.effects import ALL, Form, Term
-from hil.effects.survey import survey_of
 from hil.effects.warming import WARMING
 from hil.records.rows import Records
 
@@ -84,24 +81,6 @@ def test_what_the_torque_cannot_tell_apart_where_speed_or_load_is_not_recorded_s
     }
     assert not_told_apart([LAG], ("velocity_mm_s", "load_kg"), some) == {}
     assert not_told_apart([LAG], ("velocity_mm_s",), some) == {"velocity_lag": ("load_deflection",)}
-    doubted = beside_unseen_causes(BY_TORQUE, ("velocity_lag",))
-    assert doubted.confidence == pytest.approx(0.99 / (1.0 + 0.99 * np.exp(-0.5)))
-    assert [rival.effect for rival in doubted.rivals] == ["velocity_lag"]
-    assert doubted.confidence + doubted.rivals[0].confidence == pytest.approx(1.59 / 1.6, rel=0.01)
-
-
-def test_a_cause_whose_sensor_nobody_recorded_is_a_rival_of_what_is_in_doubt() -> None:
-    campaign = prepare(workshop(31, noise_um=NOISE_UM)[0])
-    bare = survey_of({name: campaign.columns[name] for name in WAY_ONLY})
-    assert set(unrecorded(ALL, bare, ())) == {
-        *("abbe", "air_index", "dead_path", "load_deflection", "cross_axis", "thermal_expansion", "thermal_drift"),
-    }, "a speed that was not recorded is rest"
-    assert unrecorded(ALL, bare, SENSORS) == {}, "what was recorded and did not vary is no rival"
-    assert unrecorded(ALL, bare, set(SENSORS) - {"yaw_urad"}) == {"abbe": ("yaw_urad",)}
-    doubted = beside_unseen_causes(BY_LOAD, ("unexplained", "abbe"))
-    weights = {rival.effect: rival.confidence for rival in doubted.rivals}
-    assert weights["abbe"] == pytest.approx(weights["unexplained"])
-    assert 0.5 < doubted.confidence < 0.7
 
 
 def test_a_tilt_that_nobody_recorded_is_a_rival_of_what_goes_with_it() -> None:
@@ -208,9 +187,8 @@ def test_wear_at_an_end_may_be_lost_motion_where_the_way_since_the_reversal_was_
     assert not_told_apart([finding], WAY_ONLY, rows()) == expected
     assert not_told_apart([finding], (*WAY_ONLY, "since_reversal_mm"), rows()) == {}
     if may_be:
-        (told,) = with_rivals([finding], (), {}, expected, ())
-        (rival,) = told.rivals
-        assert rival.separate_by == "approach the same targets after travels of other lengths"
+        said = separating(finding.term.effect, "lost_motion")
+        assert said == "approach the same targets after travels of other lengths"
 
 
 def test_runs_turn_at_places_of_their_own_near_an_end() -> None:
@@ -232,15 +210,8 @@ def test_a_jump_may_be_a_load_that_was_put_on_or_another_axis_that_moved_where_t
     assert not_told_apart([between_passes], (*WAY_ONLY, "pos_z_mm"), rows()) == {"datum_step": ("load_deflection",)}
     alike = not_told_apart([between_passes], (*WAY_ONLY, "load_kg"), rows())
     assert alike == {"datum_step": ("cross_axis",)}
-    bare = survey_of({name: prepare(workshop(31, noise_um=NOISE_UM)[0]).columns[name] for name in WAY_ONLY})
     alike = not_told_apart([between_passes], WAY_ONLY, rows())
-    (told,) = with_rivals([between_passes], (), unrecorded(ALL, bare, WAY_ONLY), alike, ())
-    assert told.confidence < 0.7
-    separate_by = {rival.effect: rival.separate_by for rival in told.rivals}
-    assert separate_by["load_deflection"] == "record one of these in every row: load_kg; torque_percent"
-    assert separate_by["cross_axis"] == "record in every row: pos_y_mm"
-    left = beside_what_is_left(told, 0.5)
-    assert {rival.effect: rival.separate_by for rival in left.rivals}.items() >= separate_by.items()
+    assert alike == {"datum_step": ("load_deflection", "cross_axis")}
 
 
 def test_nobody_puts_a_load_on_between_two_rows_of_one_automatic_pass() -> None:

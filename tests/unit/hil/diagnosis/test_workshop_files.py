@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.diagnosis import fit_model
+from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import coarse_step_mm, unread_um
-from hil.diagnosis.diagnosing import diagnose
 from hil.diagnosis.follow_up import as_shares, diagnosed
 from hil.diagnosis.result import Finding, RivalFound
 from hil.effects import ALL, Form, Term
@@ -77,7 +76,6 @@ def test_one_run_is_neither_unexplained_nor_judged_by_its_own_quarters(targets: 
     found = diagnose(iso_test(1, targets))
     assert not found.findings
     assert not found.unexplained
-    assert any("every degree of freedom" in note for note in found.notes)
     assert any(note.startswith("one run only") for note in found.notes)
     assert not any("not recommended" in note or "from run to run" in note for note in found.notes)
 
@@ -142,8 +140,7 @@ def test_where_no_other_temperature_is_logged_the_machine_may_follow_the_air(see
     assert found.findings[0].effect == "thermal_expansion"
     assert found.findings[0].term.form.inputs[0] == "air_temp_c"
     assert not found.unexplained
-    growth = found.findings[0].parameters["coefficient_ppm_per_k"]
-    assert growth.value == pytest.approx(11.5, abs=3.0 * growth.std)
+    assert found.findings[0].parameters["coefficient_ppm_per_k"].value == pytest.approx(11.5, rel=0.05)
     again, added_um = machine_in_a_hall(2000.0, seed + 10)
     left_um = again.uncorrected_error_um + found.extended.correction_um(again.columns)
     assert np.std(left_um) < 0.2 * np.std(added_um)

@@ -304,9 +304,6 @@ def test_zones_of_wear_take_at_most_a_third_of_the_travel() -> None:
     wear = EFFECTS["local_wear"]
     assert [wear.is_exceeded(bump, (150.0, w)) for w in (6.0, 15.0, 16.6)] == [False, False, True]
     assert bump.log_odds == pytest.approx(-math.log(24.0))  # as many places as usual widths fit into the travel
-    assert wear.is_local(bump, (150.0, 10.0), campaign())  # a tenth of the half span
-    assert not wear.is_local(bump, (150.0, 10.1), campaign())
-    assert not EFFECTS["cyclic"].is_local(bump, (1.0,), campaign())
 
 
 def test_periods_are_even_in_frequency_and_hold_the_usual_ones() -> None:
@@ -426,7 +423,6 @@ def test_odds_of_a_value_beforehand() -> None:
     assert NonLinear("length_mm", 0.1, 100.0).logarithmic
     plain = Form("backlash", "constant", ("direction",))
     assert (plain.scan, plain.exhaustive, plain.shrunk, plain.starts) == (True, False, False, ((),))
-    assert not EFFECTS["lost_motion"].is_local(plain, (), campaign())
     assert not EFFECTS["lost_motion"].is_exceeded(plain, ())
     assert EFFECTS["backlash"].implausible(Term(EFFECTS["backlash"], plain, (), (9e9,), ((1.0,),))) is None
 

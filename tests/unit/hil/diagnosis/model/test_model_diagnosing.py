@@ -1,4 +1,4 @@
-"""What the second engine says of machines made by hand: names, what is unexplained, silence, and figures of the model in the file."""
+"""What the diagnosis says of machines made by hand: names, what is unexplained, silence, and figures of the model in the file."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from support.campaigns import Array, Errors, campaign, wavy
 
-from hil.diagnosis import fit_model
+from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import columns_of
-from hil.diagnosis.model import diagnosing
 from hil.diagnosis.result import OUTSIDE, Diagnosis
-from hil.effects import ALL, Action
+from hil.effects import Action
 from hil.effects.model import Model
 
 
@@ -57,7 +56,7 @@ def said(case: str, seed: int = 5, without: str = "") -> Diagnosis:
     records = campaign(lambda c: wavy(c) + CASES[case](c), sensors=sensors, seed=seed)
     if without:
         records = type(records).of({name: v for name, v in records.columns.items() if name != without})
-    return diagnosing.diagnose(records, None, ALL, 0)
+    return diagnose(records)
 
 
 @pytest.mark.parametrize("seed", [5, 6, 7])
@@ -73,7 +72,7 @@ def test_rows_far_off_that_follow_nothing_are_noise(seed: int) -> None:
     """One row in ten with five times the spread."""
     rng = np.random.default_rng(seed)
     noise_um = 0.3 * rng.normal(size=144) * np.where(rng.random(144) < 0.1, 5.0, 1.0)
-    found = diagnosing.diagnose(campaign(wavy, noise_um=noise_um, sensors=sensors, seed=seed), None, ALL, 0)
+    found = diagnose(campaign(wavy, noise_um=noise_um, sensors=sensors, seed=seed))
     assert not found.findings
     assert not found.unexplained
 
@@ -180,7 +179,7 @@ def test_harmonics_of_one_part_are_told_of_one_part() -> None:
 def test_beside_a_table_measured_before_what_came_since_is_named_and_corrected(effect: str, came: Errors) -> None:
     before = campaign(wavy, seed=8)
     now, later = (campaign(lambda c: wavy(c) + came(c), sensors=sensors, seed=seed) for seed in (9, 10))
-    found = diagnosing.diagnose(now, fit_model(before), ALL, 0)
+    found = diagnose(now, fit_model(before))
     assert [finding.effect for finding in found.findings] == [effect]
     assert found.after.rms_um < 0.7 * found.before.rms_um
     read = Model.from_json(found.extended.to_json())

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.policy import policy
 from hil.effects import Estimate
 from hil.effects.history import time_column
 
@@ -24,6 +23,10 @@ SAME_TARGET_MM, SAME_PART = 1e-3, 1e-4
 µm."""
 SAME_SHARE = 1e-3
 """Relative difference within which a set condition is the same."""
+LEAST_DOF = 5
+"""Degrees of freedom from which a noise floor is stated: its standard deviation is then a third of it."""
+WITHIN_S, WITHIN_ROWS = 30.0, 10.0
+"""Time between repeats in which nothing warms up, s; the same in rows where no time was recorded."""
 SET = re.compile(r"velocity_mm_s|load_kg|abbe_offset_mm|pos_\w+_mm")
 """Conditions that are set, not sensed."""
 
@@ -49,7 +52,7 @@ def pure_error(columns: Mapping[str, Floats], error_um: Floats) -> PureError | N
         _within_seconds(columns, cell, error_um),
         _in_pairs(columns, cell, error_um),
     ):
-        if dof >= policy().least_dof:
+        if dof >= LEAST_DOF:
             std = math.sqrt(squares / dof)
             return PureError(Estimate(std, std / math.sqrt(2 * dof)), dof, how, rows)
     return None
@@ -69,7 +72,7 @@ def _cells(columns: Mapping[str, Floats]) -> Ints:
 def _within_seconds(columns: Mapping[str, Floats], cell: Ints, error_um: Floats) -> tuple[float, int, str, Ints]:
     """Sum of squares about the mean of each group of repeats, its degrees of freedom, and their rows."""
     time = columns[time_column(columns)]
-    within = policy().within_s if time_column(columns) == "time_s" else policy().within_rows
+    within = WITHIN_S if time_column(columns) == "time_s" else WITHIN_ROWS
     order = np.lexsort((np.arange(len(cell)), cell))
     new = np.ones(len(cell), dtype=np.bool_)
     new[1:] = (np.diff(cell[order]) != 0) | (np.diff(columns["run"][order]) != 0) | (np.diff(time[order]) > within)

@@ -1,20 +1,18 @@
-"""What looks alike because nobody logged a column: the rivals of a finding through a force, an angle, the air, a thermometer, the way.
+"""Rival causes that act through a quantity that was not recorded, and the measurement that separates two causes.
 
-Physics decides which: by how much the air changes in a day, what a barometer cannot do to a machine, where a reversal acts.
+Physics decides which are rivals: by how much the air changes in a day, what a barometer cannot do to a machine, where a reversal acts.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.result import Finding
-from hil.effects import Columns, Effect, Survey
-from hil.effects.air import SENSORS as AIR_SENSORS
+from hil.diagnosis.result import OUTSIDE, Finding
+from hil.effects import Columns, Effect
 from hil.effects.base import UM_PER_MM_PPM
 from hil.effects.load_deflection import is_tilt
 from hil.effects.survey import OTHER_AXIS
@@ -24,11 +22,6 @@ Floats = NDArray[np.float64]
 
 PRESSURE = "air_pressure_hpa"
 WAY_SINCE = "since_reversal_mm"
-SENSORS = (
-    *("load_kg", "torque_percent", "pitch_urad", "yaw_urad", "pos_y_mm"),
-    *(*AIR_SENSORS, "temp_screw_c"),
-)
-"""Columns that a cause may follow; through one that was not recorded it can only be a rival."""
 FORCES = frozenset({"load_kg", "torque_percent"})
 ANGLES = ("pitch_urad", "yaw_urad")
 SLOW = frozenset({"thermal_drift", "beam_drift", "datum_step"})
@@ -43,6 +36,11 @@ LONGEST_DEAD_PATH_MM = 2000.0
 """The interferometer at the machine's end, and its reflector at the far one at the first row: more is no dead path of a machine."""
 NEAR_AN_END = 0.1
 """Of the travel: runs turn there at places of their own, and a stroke that reaches no nearer is a short one."""
+VARY_APART = "a campaign in which the columns the two read vary apart"
+ONCE_MORE = "a second campaign under other conditions: the effect predicts it, something else does not"
+"""What tells an effect from something that no effect of the catalogue explains."""
+RETURN = "return to one reference point several times within a run"
+"""The same of an effect that occurs once, or wanders: no campaign predicts another."""
 PAUSE = 3.0
 """Usual intervals between two rows, from which somebody may have done something between them."""
 
@@ -199,11 +197,22 @@ def is_worn_after_reversals(finding: Finding, columns: Columns) -> bool:
     return bool(np.any(has_turned & is_odd & (from_low | from_high)))
 
 
-def unrecorded(effects: Sequence[Effect], survey: Survey, recorded: Collection[str]) -> dict[str, tuple[str, ...]]:
-    """Of each effect that could show in columns nobody recorded, these. A speed that was not recorded is rest."""
-    absent = [name for name in SENSORS if name not in recorded]
-    wider = replace(survey, varying=survey.varying.union(absent), mean={**dict.fromkeys(absent, 1.0), **survey.mean})
-    read = {effect.id: {name for form in effect.forms(wider) for name in form.inputs} for effect in effects}
-    return {
-        effect: tuple(name for name in absent if name in names) for effect, names in read.items() if names & set(absent)
-    }
+def separating(effect: Effect, rival: str, absent: Sequence[str] = ()) -> str:
+    """The measurement that separates an effect from a rival, which may follow one of these columns that nobody recorded."""
+    general = VARY_APART if rival != OUTSIDE else RETURN if effect.once else ONCE_MORE
+    return catalogue_says(effect, rival) or (to_record(absent) if absent else general)
+
+
+def catalogue_says(effect: Effect, rival: str) -> str:
+    """The measurement that the effect itself names against a rival; empty where it names none."""
+    return next((known.separate_by for known in effect.rivals if known.effect == rival), "")
+
+
+def to_record(columns: Sequence[str]) -> str:
+    """What to do about columns that nobody recorded, one of which would tell."""
+    return f"record {'one of these ' if len(columns) > 1 else ''}in every row: {'; '.join(columns)}"
+
+
+def to_show(column: str, recorded: Collection[str]) -> str:
+    """What to do for one column that nobody changed, or recorded."""
+    return f"measure at another value of: {column}" if column in recorded else to_record((column,))

@@ -18,31 +18,32 @@ from numpy.polynomial import legendre
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
-from hil.diagnosis.noise.evidence import LinearCampaign, Noise
-from hil.diagnosis.policy import policy
-from hil.diagnosis.search.candidates import enumerate_candidates
-from hil.diagnosis.search.choose import problem_of
-from hil.diagnosis.search.fit import START_ROUGHNESS, Choice, JointFit, start_noise, static_part
-from hil.diagnosis.search.rank import rank
-from hil.diagnosis.search.searcher import GRID, ConditionalSearch, Effort, Searcher
+from hil.diagnosis.joining import SET, segments
+from hil.diagnosis.model.candidates import Catalogue, effects_beside
+from hil.diagnosis.model.diagnosing import rows_of
+from hil.diagnosis.model.evidence import Candidate, Fit, Part
+from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.search import Search
 from hil.effects import Effect, Form, Survey, Term
-from hil.effects.history import complete, time_column
+from hil.effects.history import time_column
 from hil.effects.model import Model
 from hil.effects.warming import is_about_a_point
-from hil.records.rows import Records, concatenate
+from hil.records.rows import Records
 
 Floats = NDArray[np.float64]
 
-WIDE = Effort(contenders=20, rounds=4, grid=GRID[::2], rich=4)
+LEAST = 0.02
+"""Weight of a cause from which it is compared."""
+WORST = -12.0
+"""Least log odds of a cause in one part of the records: no form is exactly right."""
+HIDDEN = 1e-4
+"""Share of the squares of its columns that must be left beside the table for a cause to be weighed."""
 COURSES = (1, 2, 3, 4, 6)
 """Orders of the smooth courses assumed for an unseen column."""
 
-SET = {"load_kg": 1.0, "pos_y_mm": 100.0, "abbe_offset_mm": 0.0, "setup": 1.0}
-"""Columns that a person sets, with the level assumed where none is recorded."""
 IN_TIME = ("temp_screw_c", "air_temp_c")
 ALONG = ("pitch_urad",)
 REST = {"temp_screw_c": 20.0, "air_temp_c": 20.0, "pitch_urad": 0.0}
-SENSED = re.compile(r"temp_\w+_c|air_\w+|pitch_urad|yaw_urad")
 
 
 @dataclass(frozen=True)
@@ -73,58 +74,13 @@ class Hypothesis:
     effect: Effect
     weight: float
     gain: float
-    choice: Choice | None
+    shown: Candidate | None
     unseen: Unseen | None
 
     @property
     def id(self) -> str:
         """Id of the effect."""
         return self.effect.id
-
-
-def joined(parts: Sequence[Records]) -> Records:
-    """Campaigns one after another as one; a set column without values had the first level of a later campaign.
-
-    A sensor that was missing leaves its cells empty. Raises InputError as `Records.of`.
-    """
-    columns = dict.fromkeys(name for part in parts for name in part.columns)
-    usual = {name: next(float(p[name][0]) for p in parts if name in p) for name in columns if is_set(name)}
-    usual |= {name: value for name, value in (("abbe_offset_mm", 0.0), ("setup", 1.0)) if name in usual}
-    timed = all("time_s" in part for part in parts)
-    whole = []
-    for part in parts:
-        full = dict(part.columns)
-        if "since_reversal_mm" in columns or "stroke_mm" in columns:
-            full |= {name: v for name, v in complete(full).items() if name in ("since_reversal_mm", "stroke_mm")}
-        for name in columns:
-            if name not in full:
-                rest = part.command_mm if name == "command_mm" else np.full(len(part), usual.get(name, math.nan))
-                full[name] = np.zeros(len(part)) if name == "velocity_mm_s" else rest
-        if not timed:
-            full.pop("time_s", None)
-        whole.append(Records.of(full))
-    return concatenate(whole)
-
-
-def is_set(column: str) -> bool:
-    """Whether a column is set by a person, not read."""
-    return column in SET or bool(re.fullmatch(r"pos_\w+_mm", column))
-
-
-def segments(records: Records) -> tuple[Records, ...]:
-    """The records split by which sensors were there, each without its empty columns."""
-    sensors = [name for name in records.columns if SENSED.fullmatch(name)]
-    there = np.array([np.isfinite(records[name]) for name in sensors]).reshape(len(sensors), len(records))
-    kinds = np.unique(there, axis=1)
-    parts = []
-    for kind in kinds.T:
-        rows = np.all(there == kind[:, None], axis=0)
-        gone = {name for name, filled in zip(sensors, kind, strict=True) if not filled}
-        part = records.where(rows)
-        parts.append(
-            (int(np.flatnonzero(rows)[0]), Records.of({n: v for n, v in part.columns.items() if n not in gone}))
-        )
-    return tuple(part for _, part in sorted(parts, key=lambda item: item[0]))
 
 
 def weigh(
@@ -138,20 +94,17 @@ def weigh(
     best: dict[str, Hypothesis] = {}
     once = {effect.id for effect in effects if effect.once}
     for part in segments(records):
-        for effect in effects:
-            total.setdefault(effect.id, effect.log_odds if effect.static else 0.0)
         for hypothesis in _weigh_part(part, declared, effects, beside):
             name = hypothesis.id
-            least = 0.0 if name in once else policy().worst
-            total[name] += max(hypothesis.gain, least)
+            least = 0.0 if name in once else WORST
+            total[name] = total.get(name, 0.0) + max(hypothesis.gain, least)
             best[name] = hypothesis
-    gains = {name: total[name] for name in best}
-    if not gains:
+    if not best:
         return ()
-    top = max(gains.values())
-    raw = {name: math.exp((gain - top) / policy().temperature) for name, gain in gains.items()}
+    top = max(total.values())
+    raw = {name: math.exp((gain - top) / USUAL.temperature) for name, gain in total.items()}
     whole = sum(raw.values())
-    found = [replace(best[name], weight=raw[name] / whole, gain=gains[name]) for name in gains]
+    found = [replace(best[name], weight=raw[name] / whole, gain=total[name]) for name in best]
     return tuple(sorted(found, key=lambda h: -h.weight))
 
 
@@ -159,71 +112,47 @@ def _weigh_part(
     records: Records, declared: Model | None, effects: Sequence[Effect], beside: Sequence[Term]
 ) -> list[Hypothesis]:
     """The gain of each cause over none in records of complete columns; causes that they cannot show are left out."""
-    searcher = searcher_of(records, declared, effects)
-    campaign = searcher.linear.campaign
-    rest = [choice_of(term) for term in beside if all(name in campaign.columns for name in term.needs)]
-    if declared is not None and rest:
-        absorbed = static_part(LinearCampaign(campaign), rest)
-        searcher = Searcher(replace(searcher.setting, static=absorbed), searcher.candidates, effort=WIDE)
-    noise = searcher.fit_noise(rest, start_noise(campaign))
-    before, _ = searcher.profiled_evidence(rest, noise)
+    rows = rows_of(prepare(records), declared)
+    search = Search(rows, Catalogue(rows, effects_beside(rows, effects)), None)
+    known = [term for term in beside if all(name in rows.campaign.columns for name in term.needs)]
+    parts = tuple(_part_of(search, term) for term in known)
+    scored = search.scored(parts)
     found: dict[str, Hypothesis] = {}
-    for ranked in rank(searcher, rest, noise):
-        if declared is not None and _is_static(campaign, ranked.choice, searcher.fit([ranked.choice], noise)):
+    shown = [(one.log_p - scored[0].log_p, one.part) for one in search.alternatives(parts)]
+    shown += [(one.gain, one.part) for one in search.catalogue.ranked([search.fit(parts)])]  # those far behind
+    for gain, part in shown:
+        if part.of is not None and part.name not in found:
+            found[part.name] = Hypothesis(part.of.effect, 0.0, gain, part.of, None)
+    fits = [Fit(rows, parts, one.noise) for one in scored]
+    for unseen in unseen_causes(rows.campaign, effects):
+        if _hidden(fits[0], unseen.design):
             continue
-        found[ranked.effect] = Hypothesis(ranked.choice.effect, 0.0, ranked.evidence - before, ranked.choice, None)
-    conditional = ConditionalSearch(searcher, rest)
-    noises = [noise, noise.calm(), *(replace(noise, ar=a, rho=r, offset=o) for a, r, o in WIDE.grid)]
-    projections = [(conditional.projection(trial), conditional.base(trial)) for trial in dict.fromkeys(noises)]
-    for unseen in unseen_causes(campaign, effects):
-        if _hidden(projections[0][0].prepared(unseen.design), projections[0][0].normal(unseen.design)[0]):
-            continue
-        gain = (
-            max(base + projection.gain(unseen.design) for projection, base in projections) - before - policy().simpler
-        )
+        gain = max(fit.log_p + fit.random_gain(unseen.design)[0] for fit in fits) - fits[0].log_p - USUAL.unlogged
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
-    for hypothesis in list(found.values()):  # an unseen drift may follow any course that a drift may
-        loose = found.get("beam_drift")
-        if loose is None or hypothesis.unseen is None or not hypothesis.unseen.wanders:
-            continue
-        gain = loose.gain - loose.effect.log_odds - policy().simpler
-        if hypothesis.gain < gain:
-            found[hypothesis.id] = replace(hypothesis, gain=gain)
+    loose = found.get("beam_drift")
+    if loose is not None:  # an unseen drift may follow any course that a drift may
+        gain = loose.gain - loose.effect.log_odds - USUAL.unlogged
+        for name, one in found.items():
+            if one.unseen is not None and one.unseen.wanders and one.gain < gain:
+                found[name] = replace(one, gain=gain)
     return list(found.values())
 
 
-def _is_static(campaign: CampaignRows, choice: Choice, fit: JointFit) -> bool:
-    """Whether a cause that depends on time was present from the first row on, so that a table would hold it.
-
-    A drift that settles at once is a shape along the travel under another name.
-    """
-    if time_column(campaign.columns) not in choice.form.inputs or choice.form.shrunk or not fit.found:
-        return False
-    drawn = fit.found[0].error_um(campaign.columns)
-    noise = Noise(offset=1.0, even=START_ROUGHNESS, odd=START_ROUGHNESS)
-    projection = LinearCampaign(campaign).projection(noise, drawn - float(np.mean(drawn)))
-    return bool(float(projection.rss) < policy().still ** 2 * float(np.sum(projection.y**2)))
+def _part_of(search: Search, term: Term) -> Part:
+    """A term as a part of the model, of a shrunk form with the likeliest variance."""
+    one = Candidate(term.effect, term.form, term.theta)
+    if term.form.shrunk:
+        columns = term.effect.basis(term.form, term.theta, search.rows.campaign.columns)
+        one = replace(one, ratio=search.fit(()).random_gain(columns)[1])
+    return search.catalogue.part(one, 0.0)
 
 
-def _hidden(prepared: Floats, left: Floats) -> bool:
+def _hidden(fit: Fit, columns: Floats) -> bool:
     """Whether less than a hundredth of the columns' norm remains beside the table."""
-    return bool(np.max(np.diag(left)) < 1e-4 * np.max(np.sum(prepared**2, axis=0)))
-
-
-def searcher_of(records: Records, declared: Model | None, effects: Sequence[Effect]) -> Searcher:
-    """The search of all effects against the declared table, or against one fitted from the records."""
-    campaign = prepare(records)
-    problem = problem_of(campaign, effects, declared, 0)
-    if problem.given is None:
-        return Searcher(problem.free, problem.candidates, effort=WIDE)
-    return Searcher(problem.given, enumerate_candidates(campaign, effects), effort=WIDE)
-
-
-def choice_of(term: Term) -> Choice:
-    """A fitted term as a choice of its form and parameters."""
-    return Choice(term.effect, term.form, term.theta, variance=10.0)
+    white = fit.rows.white(columns, fit.noise.memory)
+    return bool(np.max(np.diag(fit.normal(columns)[0])) < HIDDEN * np.max(np.sum(white**2, axis=0)))
 
 
 def unseen_causes(campaign: CampaignRows, effects: Sequence[Effect]) -> list[Unseen]:
