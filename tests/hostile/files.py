@@ -22,7 +22,8 @@ _UNKNOWN = bytes.fromhex("06032a0304")
 
 def _tagged(tag: int, *parts: bytes) -> bytes:
     body = b"".join(parts)
-    size = bytes([len(body)]) if len(body) < 0x80 else b"\x82" + len(body).to_bytes(2, "big")
+    long = b"\x81" if len(body) < 0x100 else b"\x82\x01"  # up to 511 bytes
+    size = (b"" if len(body) < 0x80 else long) + bytes([len(body) & 0xFF])
     return bytes([tag]) + size + body
 
 

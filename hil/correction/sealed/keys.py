@@ -12,10 +12,10 @@ import json
 import os
 import re
 import unicodedata
-from collections.abc import Iterator
 from pathlib import Path
 
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.hazmat import asn1
 from cryptography.hazmat.primitives import padding
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
@@ -28,6 +28,7 @@ from cryptography.hazmat.primitives.serialization import (
     load_der_private_key,
     load_pem_public_key,
 )
+from cryptography.x509 import ObjectIdentifier
 
 from drivers.errors import InputError
 from drivers.files import read_text, replace_file
@@ -109,7 +110,7 @@ def load_private_key(path: str | Path, password: str) -> Ed25519PrivateKey:
         _check_cost(der)
     except CostError as error:
         raise CostError(error.what, path=path) from error
-    except (ValueError, IndexError) as error:
+    except ValueError as error:
         raise InputError("is not a password-protected private key (PEM, PKCS #8, PBES2)", path=path) from error
     try:
         key = load_der_private_key(der, password_bytes(password))
@@ -195,85 +196,94 @@ def check_signature(message: bytes, signature: bytes, stated: bytes, public: Ed2
     raise DamagedError("signature does not fit: the file was changed after the builder signed it")
 
 
+# -- PKCS #8 ---------------------------------------------------------------------------------------------------------------
+_PBES2 = ObjectIdentifier("1.2.840.113549.1.5.13")
+_PBKDF2 = ObjectIdentifier("1.2.840.113549.1.5.12")
+_SCRYPT = ObjectIdentifier("1.3.6.1.4.1.11591.4.11")
+_AES256_CBC = ObjectIdentifier("2.16.840.1.101.3.4.1.42")
+_ENCRYPTED = re.compile(rb"-----BEGIN ENCRYPTED PRIVATE KEY-----([A-Za-z0-9+/=\s]*)-----END ENCRYPTED PRIVATE KEY-----")
+
+
+@asn1.sequence
+class _Algorithm:
+    """AlgorithmIdentifier (RFC 5280, 4.1.1.2)."""
+
+    name: ObjectIdentifier
+    parameters: asn1.TLV
+
+    @classmethod
+    def of(cls, name: ObjectIdentifier, parameters: object) -> _Algorithm:
+        return cls(name=name, parameters=asn1.decode_der(asn1.TLV, asn1.encode_der(parameters)))
+
+
+@asn1.sequence
+class _EncryptedKey:
+    """EncryptedPrivateKeyInfo (RFC 5958, 3)."""
+
+    scheme: _Algorithm
+    ciphertext: bytes
+
+
+@asn1.sequence
+class _Scheme:
+    """Parameters of PBES2 (RFC 8018, A.4)."""
+
+    derivation: _Algorithm
+    cipher: _Algorithm
+
+
+@asn1.sequence
+class _Scrypt:
+    """RFC 7914, 7.1."""
+
+    salt: bytes
+    n: int
+    r: int
+    p: int
+    key_length: int | None
+
+
+@asn1.sequence
+class _Pbkdf2:
+    """RFC 8018, A.2; the pseudo-random function follows where it is not HMAC-SHA-1."""
+
+    salt: bytes
+    rounds: int
+    key_length: int | None
+    function: _Algorithm | None
+
+
 def _encrypted_pem(key: Ed25519PrivateKey, password: bytes, cost: Cost) -> bytes:
-    """EncryptedPrivateKeyInfo (RFC 5958) with PBES2: scrypt (RFC 7914, 7.1) and AES-256-CBC."""
+    """With scrypt and AES-256-CBC. The library's own writer has PBKDF2 with 2048 rounds, 1.3 ms for a guess in place of 360."""
     plain = key.private_bytes(Encoding.DER, PrivateFormat.PKCS8, NoEncryption())
     salt, vector = os.urandom(16), os.urandom(16)
     secret = Scrypt(salt=salt, length=32, n=cost.n, r=cost.r, p=cost.p).derive(password)
     padder = padding.PKCS7(128).padder()
     encryptor = Cipher(algorithms.AES(secret), modes.CBC(vector)).encryptor()
     ciphertext = encryptor.update(padder.update(plain) + padder.finalize()) + encryptor.finalize()
-    derivation = _sequence(_OID_SCRYPT, _sequence(_octets(salt), _integer(cost.n), _integer(cost.r), _integer(cost.p)))
-    scheme = _sequence(_OID_PBES2, _sequence(derivation, _sequence(_OID_AES256_CBC, _octets(vector))))
-    body = base64.encodebytes(_sequence(scheme, _octets(ciphertext))).replace(b"\n", b"")
+    asked = _Scrypt(salt=salt, n=cost.n, r=cost.r, p=cost.p, key_length=None)
+    scheme = _Scheme(derivation=_Algorithm.of(_SCRYPT, asked), cipher=_Algorithm.of(_AES256_CBC, vector))
+    whole = asn1.encode_der(_EncryptedKey(scheme=_Algorithm.of(_PBES2, scheme), ciphertext=ciphertext))
+    body = base64.b64encode(whole)
     lines = [body[i : i + 64] for i in range(0, len(body), 64)]
     return b"\n".join([b"-----BEGIN ENCRYPTED PRIVATE KEY-----", *lines, b"-----END ENCRYPTED PRIVATE KEY-----", b""])
 
 
-_ENCRYPTED = re.compile(rb"-----BEGIN ENCRYPTED PRIVATE KEY-----([A-Za-z0-9+/=\s]*)-----END ENCRYPTED PRIVATE KEY-----")
-
-
 def _check_cost(der: bytes) -> None:
-    """Checks the key derivation that an EncryptedPrivateKeyInfo asks for, before anything is derived.
+    """Checks the key derivation that an encrypted key asks for, before anything is derived.
 
-    Raises CostError for a cost outside the limits, ValueError or IndexError for anything but PBES2 with scrypt or PBKDF2.
+    Raises CostError for a cost outside the limits, ValueError for anything but PBES2 with scrypt or PBKDF2.
     """
-    (whole,) = _parts(der, 0x30)
-    scheme, _ = _parts(whole)
-    name, parameters = _parts(scheme)
-    if name != _body(_OID_PBES2):
+    scheme = asn1.decode_der(_EncryptedKey, der).scheme
+    if scheme.name != _PBES2:
         raise ValueError("not PBES2")
-    derivation, _ = _parts(parameters)
-    name, parameters = _parts(derivation)
-    values = list(_parts(parameters))
-    if name == _body(_OID_SCRYPT):
-        Cost(*(int.from_bytes(value, "big", signed=True) for value in values[1:4]))
-    elif name == _body(_OID_PBKDF2):
-        rounds = int.from_bytes(values[1], "big", signed=True)
+    derivation = scheme.parameters.parse(_Scheme).derivation
+    if derivation.name == _SCRYPT:
+        asked = derivation.parameters.parse(_Scrypt)
+        Cost(asked.n, asked.r, asked.p)
+    elif derivation.name == _PBKDF2:
+        rounds = derivation.parameters.parse(_Pbkdf2).rounds
         if not 1 <= rounds <= MAX_ROUNDS:
             raise CostError(f"key derivation of {rounds} rounds is absurd, expected 1 to {MAX_ROUNDS}")
     else:
         raise ValueError("neither scrypt nor PBKDF2")
-
-
-def _parts(data: bytes, tag: int | None = None) -> Iterator[bytes]:
-    """The contents of the DER values that stand one after the other in `data`; tag: that each must have."""
-    while data:
-        size, start = data[1], 2
-        if size & 0x80:
-            start += size & 0x7F
-            size = int.from_bytes(data[2:start], "big")
-        if start > 6 or start + size > len(data) or (tag is not None and data[0] != tag):
-            raise ValueError("no DER")
-        yield data[start : start + size]
-        data = data[start + size :]
-
-
-def _body(value: bytes) -> bytes:
-    return value[2:]
-
-
-_OID_PBKDF2 = bytes.fromhex("06092a864886f70d01050c")
-_OID_PBES2 = bytes.fromhex("06092a864886f70d01050d")
-_OID_SCRYPT = bytes.fromhex("06092b06010401da47040b")
-_OID_AES256_CBC = bytes.fromhex("060960864801650304012a")
-
-
-def _tagged(tag: int, body: bytes) -> bytes:
-    size = len(body)
-    length = (
-        bytes([size]) if size < 0x80 else bytes([0x81, size]) if size < 0x100 else b"\x82" + size.to_bytes(2, "big")
-    )
-    return bytes([tag]) + length + body
-
-
-def _sequence(*parts: bytes) -> bytes:
-    return _tagged(0x30, b"".join(parts))
-
-
-def _octets(body: bytes) -> bytes:
-    return _tagged(0x04, body)
-
-
-def _integer(value: int) -> bytes:
-    return _tagged(0x02, value.to_bytes(value.bit_length() // 8 + 1, "big"))
