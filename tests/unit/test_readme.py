@@ -46,7 +46,7 @@ def test_the_number_of_tests_is_about_what_it_says(request: pytest.FixtureReques
 
 
 def test_it_is_short() -> None:
-    assert README.count("\n") <= 150
+    assert README.count("\n") <= 120
     cells = [cell.strip() for line in README.splitlines() if line.startswith("|") for cell in line.split("|")]
     assert max(len(re.sub(r"\]\([^)]*\)|[`\[]", "", cell)) for cell in cells) <= 100, (
         "two lines of a column as rendered"
@@ -60,10 +60,11 @@ def test_its_figures_are_those_that_the_demo_prints() -> None:
     assert "```text hil demo\n" in README
 
 
-def test_the_map_of_the_house_is_the_same_in_both_places() -> None:
-    block = re.search(r"^```\ndrivers/.*?^```$", README, re.MULTILINE | re.DOTALL)
+def test_the_map_of_the_house_has_every_room() -> None:
+    block = re.search(
+        r"^```\ndrivers/.*?^```$", (DOCS / "house.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
     assert block is not None
-    assert block[0] in (DOCS / "house.md").read_text(encoding="utf-8")
     rooms = {path.name for path in (ROOT / "hil").iterdir() if path.is_dir() and any(path.glob("*.py"))}
     for room in rooms - {"examples"}:
         assert f"{room}/ " in block[0], room
