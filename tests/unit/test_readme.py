@@ -1,4 +1,4 @@
-"""The README keeps its promises: its commands are those that CI runs, its script is the one that is shipped."""
+"""The README keeps its promises: its commands are those that CI runs."""
 
 from __future__ import annotations
 
@@ -16,11 +16,6 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 DOCS = ROOT / "hil/docs"
-
-
-def test_the_script_in_the_pages_is_the_shipped_one() -> None:
-    shipped = (ROOT / "hil/examples/commission.py").read_text(encoding="utf-8").split('"""\n', 1)[1].strip()
-    assert f"```python\n{shipped}\n```" in (DOCS / "commissioning.md").read_text(encoding="utf-8")
 
 
 def test_the_two_commands() -> None:
