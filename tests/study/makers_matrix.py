@@ -379,17 +379,26 @@ def shown(rows: list[Row]) -> str:
 
 
 def markdown(rows: list[Row]) -> str:
-    """The rows as a table; equal ones are one with their number. What is refused stands with its reason."""
-    count: Counter[tuple[str, ...]] = Counter()
+    """What was done, and the dictionaries that did it: a table by outcome. Equal names are one with their number."""
+    by_outcome: dict[str, Counter[str]] = {}
     for row in rows:
-        refusal = next((reason for reason in row.reasons if reason.split(":")[0] in COLUMNS), "") if row.failed else ""
-        cells = (row.cells.get(name, "") for name in COLUMNS)
-        count[row.name.replace("|", ""), *cells, f"{100 * row.worst:.0f} %" if row.worst else "", refusal] += 1
-    head = ("dictionary", *COLUMNS, "fastest / asked", "refused because")
-    lines = ["| " + " | ".join(head) + " |", "|" + "---|" * len(head)]
-    for (name, *cells), number in count.items():
-        lines.append("| " + " | ".join((name + (f" ×{number}" if number > 1 else ""), *cells)) + " |")
+        by_outcome.setdefault(outcome(row), Counter())[row.name.replace("|", "")] += 1
+    lines = ["| Done, or refused because | Number | Dictionaries |", "|---|---|---|"]
+    for what in sorted(by_outcome, key=lambda each: (each.startswith("refused"), each)):
+        names = by_outcome[what]
+        shown_names = (name + (f" ×{number}" if number > 1 else "") for name, number in sorted(names.items()))
+        lines.append(f"| {what} | {names.total()} | {', '.join(shown_names)} |")
     return "\n".join(lines)
+
+
+def outcome(row: Row) -> str:
+    """The steps that were done, or why the drive was refused; and whether it was not put back."""
+    if row.failed:
+        what = "refused" if row.refused_safely else "failed"
+        done = f"{what}: {next((reason for reason in row.reasons if reason.split(':')[0] in COLUMNS), 'no reason')}"
+    else:
+        done = ", ".join(step for step in ("homes", "moves", "streams") if row.cells.get(step, "").startswith("yes"))
+    return done + (", not put back" if row.not_restored else "")
 
 
 def summary(rows: list[Row]) -> tuple[str, bool]:

@@ -180,14 +180,14 @@ def _go(rig: Rig, position_mm: float, velocity_mm_s: float) -> None:
 def table(results: list[Result]) -> str:
     """Markdown rows, one per family."""
     lines = [
-        "| Drive file | To be proven on the drive | Homes | Speed off by | Distance off by | Quick stop within | Left changed |",
+        "| Drive file | Facts to prove | Homes | Speed off by, % | Distance off by, µm | Quick stop within, mm | Left changed |",
         "|---|---|---|---|---|---|---|",
     ]
     for each in results:
         left = ", ".join(each.changed) or "nothing"
         lines.append(
-            f"| `{each.name}` | {each.weak} facts | {each.homing} | {each.speed_percent:+.2f} % |"
-            f" {1000 * each.distance_mm:+.1f} µm | {each.stop_mm:.2f} mm | {left} |"
+            f"| `{each.name}` | {each.weak} | {'yes' if each.homing == 'yes' else 'no'} | {each.speed_percent:+.2f} |"
+            f" {1000 * each.distance_mm:+.1f} | {each.stop_mm:.2f} | {left} |"
         )
     return "\n".join(lines)
 

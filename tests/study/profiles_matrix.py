@@ -395,18 +395,22 @@ def study_profiles(names: Sequence[str], verbs: Sequence[str] = tuple(VERBS)) ->
 
 
 def profiles_markdown(rows: Sequence[ProfileRow]) -> str:
-    """The table of the documentation, and below it what is not "yes", with its reason."""
-    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
-    lines += ["| " + " | ".join(row.cells) + " |" for row in rows]
-    by_text: dict[str, dict[str, list[str]]] = {}
+    """The names of all profiles, and a table of what is not "yes": result, reason, steps or verbs, and the profiles."""
+    found: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
-        for reason in row.reasons:
-            column, _, text = reason.partition(": ")
-            by_text.setdefault(_on_one_line(text), {}).setdefault(row.name, []).append(column)
-    for text, profiles in by_text.items():
-        where = "; ".join(f"`{name}` ({', '.join(columns)})" for name, columns in profiles.items())
-        lines.append(f"- {text}: {where}")
-    lines.insert(len(rows) + 2, "")
+        reasons = {column: text for column, _, text in (reason.partition(": ") for reason in reversed(row.reasons))}
+        for column, cell in zip(HEAD[1:-1], row.cells[1:-1], strict=True):
+            if not cell.startswith("yes"):
+                result = {"—": "not offered", "": "not tried"}.get(cell, cell)
+                found.setdefault((result, _on_one_line(reasons.get(column, "")), column), []).append(row.name)
+    merged: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
+    for (result, reason, column), names in found.items():
+        merged.setdefault((result, reason, tuple(names)), []).append(column)
+    lines = ["Profiles: " + ", ".join(f"`{row.name}`" for row in rows) + ".", ""]
+    lines += ["| Not done | Result | Reason | Profiles |", "|---|---|---|---|"]
+    for (result, reason, names), columns in merged.items():
+        who = ", ".join(f"`{name}`" for name in names)
+        lines.append(f"| {', '.join(columns)} | {result} | {reason} | {who} |")
     return "\n".join(lines)
 
 
