@@ -13,10 +13,6 @@ from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any, Literal, TextIO
 
-from rich import box
-from rich.console import Console
-from rich.table import Table
-
 from drivers.files import replace_file
 from hil.correction.sealed import Binding
 
@@ -93,6 +89,10 @@ def print_table(
 
     paths: a column of paths, broken between their names as long as each fits; the other columns wrap first
     """
+    from rich import box  # noqa: PLC0415  (slow to import, and first needed when a job is done)
+    from rich.console import Console  # noqa: PLC0415  (as above)
+    from rich.table import Table  # noqa: PLC0415  (as above)
+
     console = Console(highlight=False, markup=False, emoji=False)
     if not console.is_terminal:
         console = Console(highlight=False, markup=False, emoji=False, width=_pipe_width())

@@ -6,9 +6,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
 from drivers.drive import ServoDrive
 from hil.machine.events import Event, Listener
 
@@ -16,6 +13,15 @@ from hil.machine.events import Event, Listener
 @contextmanager
 def terminal_progress() -> Iterator[Listener]:
     """A listener that shows one bar per stage on stderr if it is a terminal, and prints warnings in any case."""
+    from rich.console import Console  # noqa: PLC0415  (slow to import: an axis is connected before)
+    from rich.progress import (  # noqa: PLC0415  (as above)
+        BarColumn,
+        MofNCompleteColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+    )
+
     console = Console(stderr=True)
     if not console.is_terminal:
         yield _tell_warnings

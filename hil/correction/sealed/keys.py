@@ -16,6 +16,7 @@ from pathlib import Path
 
 from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
 from cryptography.hazmat import asn1
+from cryptography.hazmat._oid import ObjectIdentifier  # of cryptography.x509, which every start would load for it
 from cryptography.hazmat.primitives import padding
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 from cryptography.hazmat.primitives.ciphers import Cipher, algorithms, modes
@@ -28,7 +29,6 @@ from cryptography.hazmat.primitives.serialization import (
     load_der_private_key,
     load_pem_public_key,
 )
-from cryptography.x509 import ObjectIdentifier
 
 from drivers.errors import InputError
 from drivers.files import read_text, replace_file

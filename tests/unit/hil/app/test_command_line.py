@@ -104,6 +104,26 @@ def test_the_help_of_a_verb_loads_neither_wires_nor_what_computes(verbs: list[st
     assert not set(done.stdout.split()) & absent
 
 
+@pytest.mark.outside
+@pytest.mark.parametrize(
+    ("modules", "absent"),
+    [
+        (
+            "hil.calibration.commands.calibrate",
+            HEAVY - {"numpy", "cryptography", "msgspec", "serial"} | {"sim_backends.bench"},
+        ),
+        ("hil.doctor.command", HEAVY - {"numpy", "cryptography", "msgspec", "serial"} | {"sim_backends.bench"}),
+        ("hil.calibration.commands.verify hil.machine.canopen_wiring", {"scipy", "rich", "pymodbus", "canopen"}),
+        ("hil.calibration.commands.verify hil.machine.modbus_wiring", {"scipy", "rich", "can", "canopen"}),
+        ("hil.backlash.command", WIRES - {"serial"}),
+    ],
+)
+def test_a_job_loads_the_wire_of_its_axis_file_and_before_it_connects_none(modules: str, absent: set[str]) -> None:
+    load = "import importlib, sys; [importlib.import_module(one) for one in sys.argv[1:]]; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", load, *modules.split()], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & absent
+
+
 def _sub_verbs(parser: argparse.ArgumentParser) -> list[argparse.ArgumentParser]:
     below = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     return [parser, *(one for action in below for each in action.choices.values() for one in _sub_verbs(each))]
