@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 FOUND = HERE / "found"
 PAGE = HERE.parents[1] / "hil/docs/security.md"
-TABLE = "| Target | Executions |\n| --- | --- |\n"
+COUNTS = "Executions so far, added by `--write`:\n\n"
 SLOWEST_S = 10
 """One input that takes longer is a finding."""
 MOST_MB = 1024
@@ -70,7 +70,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=0, help="at most so long each, 0 for no bound")
     parser.add_argument("--list", action="store_true", help="print the names")
     parser.add_argument("--json", metavar="FILE", help="write executions and findings by target")
-    parser.add_argument("--write", action="store_true", help=f"add the executions to the table in {PAGE.name}")
+    parser.add_argument("--write", action="store_true", help=f"add the executions to the counts in {PAGE.name}")
     args = parser.parse_args()
     sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
     targets = _targets()
@@ -99,19 +99,14 @@ def main() -> int:
 
 
 def add_to_page(runs: Mapping[str, int]) -> None:
-    """Add executions that found nothing to the page's table, by target."""
-    head, _, table = PAGE.read_text(encoding="utf-8").partition(TABLE)
-    counts = {
-        name: int(count.replace(" ", "")) for name, count in re.findall(r"^\| ([^|]+) \| ([\d ]+) \|$", table, re.M)
-    }
+    """Add executions that found nothing to the page's counts, by target."""
+    head, _, listed = PAGE.read_text(encoding="utf-8").partition(COUNTS)
+    counts = {name: int(count.replace(",", "")) for name, count in re.findall(r"^(.+) ([\d,]+)[;.]$", listed, re.M)}
     for name, count in runs.items():
         counts[name] = counts.get(name, 0) + count
-    rows = [
-        f"| {name} | {count:,} |".replace(",", " ")
-        for name, count in sorted(counts.items(), key=lambda row: row[0].lower())
-    ]
-    total = f"Together {sum(counts.values()):,}; nothing found is left open.".replace(",", " ")
-    PAGE.write_text(head + TABLE + "\n".join([*rows, "", total, ""]), encoding="utf-8")
+    lines = ";\n".join(f"{name} {counts[name]:,}" for name in sorted(counts, key=str.lower))
+    total = f"Together {sum(counts.values()):,}; nothing found is left open."
+    PAGE.write_text(f"{head}{COUNTS}{lines}.\n{total}\n", encoding="utf-8")
 
 
 def _targets() -> Mapping[str, Target]:

@@ -28,10 +28,10 @@ def test_a_cited_test_is_there(path: str, name: str) -> None:
 
 
 def test_every_attack_names_its_test() -> None:
-    attacks = PAGE.partition("## Attacks tried")[2].partition("## Bounds")[0]
-    rows = [line for line in attacks.splitlines() if line.startswith("| ")][2:]
-    assert len(rows) > 30
-    assert all(len(re.findall(r"`[\w./]+\.py::\w+`", row)) == 1 for row in rows)
+    attacks = PAGE.partition("## Attacks tried")[2].partition("## Bounds")[0].split("\n- ")[1:]
+    assert len(attacks) > 20
+    assert all(re.search(r"`[\w./]+\.py::\w+`", attack) for attack in attacks)
+    assert len(CITED) > 45
 
 
 def test_the_bounds_are_those_of_the_code() -> None:
@@ -47,5 +47,5 @@ def test_the_bounds_are_those_of_the_code() -> None:
 
 
 def test_every_target_of_the_fuzzing_is_listed() -> None:
-    listed = re.findall(r"^\| ([^|]+) \| [\d ]+ \|", PAGE.partition("## Fuzzing")[2], re.M)
+    listed = re.findall(r"^(.+) [\d,]+[;.]$", PAGE.partition("## Fuzzing")[2], re.M)
     assert set(listed) == set(TARGETS)
