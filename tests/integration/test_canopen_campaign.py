@@ -264,7 +264,7 @@ def _run(kind: Kind, seed: int) -> Outcome:
         place_mm = bench.servo.motor_rev * 10.0
         extremes[0], extremes[1] = min(extremes[0], place_mm), max(extremes[1], place_mm)
 
-    bench.clock.attach(observe)
+    bench.clock.attach(observe, bearable=bench.servo.bearable)
     error: BridgeError | None = None
     closing: BridgeError | None = None
     with CanLink(port, bench.clock) as link:

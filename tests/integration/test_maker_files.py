@@ -401,7 +401,7 @@ def test_the_doctor_finds_wrong_units_before_a_millimetre_is_moved(
         def look(_now_ns: int, _dt_s: float) -> None:
             reach[0] = max(reach[0], abs(bench.plant.position_mm - start_mm))
 
-        bench.clock.attach(look)
+        bench.clock.attach(look, bearable=bench.servo.bearable)
         wire = SimWire(bench.clock)
         attach_to_wire(wire, bench.servo, 1, make=partial(StrictSlave, maker=maker))
         with CanLink(wire.port(), bench.clock) as link:

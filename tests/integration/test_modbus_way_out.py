@@ -214,8 +214,11 @@ def way_out(rig: Rig) -> list[str]:
     return said
 
 
-@pytest.mark.parametrize("name", ["cia402_over_modbus", "vendor_style"])
-@pytest.mark.parametrize("noticed", [True, False], ids=["stopped after an error", "found out while disabling"])
+@pytest.mark.parametrize(
+    ("name", "noticed"),
+    [("cia402_over_modbus", True), ("vendor_style", False)],
+    ids=["stopped after an error", "found out while disabling"],
+)
 @pytest.mark.parametrize("kind", KINDS, ids=[kind.__name__ for kind in KINDS])
 def test_the_way_out_ends_in_time_with_the_stop_first(kind: Answer, noticed: bool, name: str) -> None:
     with moving(name) as r:

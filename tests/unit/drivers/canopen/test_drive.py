@@ -464,8 +464,7 @@ def _as_announced(offset: int) -> int:
     return offset
 
 
-@pytest.mark.parametrize("method", [37, 35, 17, 1])
-@pytest.mark.parametrize("home_mm", [-5.0, 120.0, 0.9])
+@pytest.mark.parametrize(("method", "home_mm"), [(37, -5.0), (35, 120.0), (17, 0.9), (1, -5.0)])
 @pytest.mark.parametrize("taken", [_as_announced, _other_sign, _ignored, _other_unit])
 def test_the_place_after_a_homing_is_the_one_announced(
     make: MakeRig, method: int, home_mm: float, taken: Callable[[int], int]

@@ -1,10 +1,8 @@
 """EDS and DCF files as vendors write them: read where the canopen package stops, limits kept, nothing overlooked in silence."""
 
-import time
 from pathlib import Path
 
 import canopen
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -296,32 +294,6 @@ def test_a_limit_of_400_digits_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(InputError) as caught:
         load_eds(path, 5)
     assert str(caught.value) == (f"{path}: [6081] HighLimit '{'9' * 40}…' has 400 digits, expected a number of 64 bits")
-
-
-def test_the_time_of_reading_grows_with_the_size_and_no_faster(tmp_path: Path) -> None:
-    """Fitted exponent over four sizes, of processor time; the last has 8000 objects, which took 5 s by a search in all sections."""
-    sizes, times = (1000, 2000, 4000, 8000), []
-    for size in sizes:
-        path = tmp_path / f"{size}.eds"
-        records = (
-            f"[{0x2000 + n:04X}]\nParameterName=object {n}\nObjectType=0x9\nSubNumber=2\n"
-            f"[{0x2000 + n:04X}sub0]\nParameterName=count\nDataType=5\nAccessType=ro\nDefaultValue=1\n"
-            f"[{0x2000 + n:04X}sub1]\nParameterName=value\nDataType=7\nAccessType=rw\nLowLimit=0\nDefaultValue={n}\n"
-            for n in range(0, size, 2)
-        )
-        variables = (
-            f"[{0x2000 + n:04X}]\nParameterName=object {n}\nObjectType=0x7\nDataType=4\nAccessType=rw\nDefaultValue=-{n}\n"
-            for n in range(1, size, 2)
-        )
-        path.write_text("".join((*records, *variables)), encoding="utf-8")
-        spent = []
-        for _ in range(3):
-            start = time.process_time()
-            assert len(load_eds(path, 5).entries) == 3 * size // 2
-            spent.append(time.process_time() - start)
-        times.append(min(spent))
-    exponent = float(np.polyfit(np.log(sizes), np.log(times), 1)[0])
-    assert exponent < 1.3, f"{times} s for {sizes} objects: exponent {exponent:.2f}"
 
 
 def test_a_clean_file_has_no_notes_and_agrees_with_the_canopen_package() -> None:

@@ -117,28 +117,28 @@ warnings.simplefilter("ignore")
 for name in ("CertificateValidator", "errors", "ValidationContext"):
     setattr(sys.modules.setdefault("certvalidator", ModuleType("certvalidator")), name, None)
 from dcc.dcc import DCC
-read = DCC(sys.argv[1])
-print(json.dumps({"uid": read.uid(), "version": read.version(), "date": str(read.calibration_date().date()),
-                  "laboratory": read.calibration_laboratory_name(), "figures": read.get_calibration_results("value", "en")}))
+for read in map(DCC, sys.argv[1:]):
+    print(json.dumps({"uid": read.uid(), "version": read.version(), "date": str(read.calibration_date().date()),
+                      "laboratory": read.calibration_laboratory_name(),
+                      "figures": read.get_calibration_results("value", "en")}))
 """
 
 
-def read_by_pydcc(xml: Path, home: Path) -> dict[str, object]:
+def read_by_pydcc(home: Path, *files: Path) -> list[dict[str, object]]:
     """In its own process: it warns on import, and looks for schemas in the home folder, or on the network where there are none."""
     workspace = home / "pydcc"
     workspace.mkdir(exist_ok=True)
     (workspace / "Readme.txt").write_text("no schemas")
     (workspace / "data.json").write_text("{}")
     done = subprocess.run(
-        [sys.executable, "-c", PYDCC, str(xml)],
+        [sys.executable, "-c", PYDCC, *map(str, files)],
         capture_output=True,
         text=True,
         env={**os.environ, "HOME": str(home)},
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    read: dict[str, object] = json.loads(done.stdout)
-    return read
+    return [json.loads(line) for line in done.stdout.splitlines()]
 
 
 def values_of(xml: bytes) -> dict[str, tuple[float, str, float | None]]:
@@ -168,7 +168,7 @@ def test_a_campaign_has_the_same_figures_in_json_report_certificate_and_dcc(plac
     page = Path("r.html").read_text(encoding="utf-8")
     _, sheets_of_report = text_of("r.pdf")
     xml = values_of(Path("c.xml").read_bytes())
-    foreign = read_by_pydcc(Path("c.xml"), place)
+    (foreign,) = read_by_pydcc(place, Path("c.xml"))
     by_name = {name.split(" Figures ")[-1]: form for name, form in foreign["figures"] if " Figures " in name}  # type: ignore[attr-defined]
     for name, value in campaign["iso230"]["figures_um"].items():
         expanded = campaign["uncertainty_um"][name]
@@ -310,9 +310,11 @@ def every_kind() -> dict[str, Certificate]:
 
 
 def test_pydcc_reads_the_figures_of_every_kind(place: Path) -> None:
-    for kind, certificate in every_kind().items():
-        Path(f"{kind}.xml").write_bytes(dcc.to_xml(certificate))
-        read = read_by_pydcc(Path(f"{kind}.xml"), place)
+    kinds = every_kind()
+    files = [place / f"{kind}.xml" for kind in kinds]
+    for file, certificate in zip(files, kinds.values(), strict=True):
+        file.write_bytes(dcc.to_xml(certificate))
+    for read, certificate in zip(read_by_pydcc(place, *files), kinds.values(), strict=True):
         assert read["uid"] == certificate.number
         assert read["laboratory"] == "Example Metrology"
         figures = [form["real"] for name, form in read["figures"] if " Figures " in name]  # type: ignore[attr-defined]
