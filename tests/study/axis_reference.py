@@ -60,13 +60,14 @@ KINDS = {"drive": connections._KEYS, "instrument": instrument._KEYS}
 HEAD = """\
 # The axis file: every key
 
-One TOML file says all that the program may know of an axis. A key that is not listed here is refused with its line, so that a
-misspelt limit is never ignored. Nothing moves outside the limits of `[axis]`. Paths are relative to the folder of the file.
+A key that is not listed here is refused with its line. Nothing moves outside the limits of `[axis]`. Paths are relative to the
+folder of the file. `hil drives new X.toml` makes a first file, `hil doctor X.toml` checks one;
+[hil/examples/axis.toml](../examples/axis.toml) is a complete example.
 
-`hil drives new X.toml` makes a first file from a drive that answers, and `hil doctor X.toml` checks one. A complete example is
-[hil/examples/axis.toml](../examples/axis.toml). "none" in the column of defaults: the key has no value unless you give one.
+A line is `key = default` (other values): what it is. The key's name ends in its unit. Without a default or "required" the key has no
+value unless you give one. No other values named: any number, or true and false.
 
-This page is made from the schema: `python tests/study/axis_reference.py --write`.
+Made by `python tests/study/axis_reference.py --write`.
 """
 
 
@@ -111,16 +112,32 @@ def shown(value: Any) -> str:
     return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
 
 
-def rows(table: str, keys: Mapping[str, tuple[str, Any]], said: Mapping[str, str]) -> list[str]:
-    """The table of a table's keys."""
-    lines = ["| Key | Value | Default | What it is |", "|---|---|---|---|"]
+def brief(expected: str) -> str:
+    """What a value may be, without what the key's name, the default or the head of the page says: number and unit, true or false."""
+    if expected == "true or false":
+        return ""
+    words = re.sub(r", each a number in .*|^a number(?: in .*)?$| for none$", "", expected)
+    words = re.sub(r"^(?:a number|a share|[^\s\d,-]\S*?)(?:, (?=-?[\d.])| (?=>))(.*?)(?: in .*)?$", r"\1", words)
+    return re.sub(r"^(?:an?|the) |(?<=each )a |(?<=whole) number", "", words)
+
+
+def rows(keys: Mapping[str, tuple[str, Any]], said: Mapping[str, str]) -> list[str]:
+    """A line for each key."""
+    lines = []
     for key, (expected, default) in keys.items():
         if key not in said:
-            raise LookupError(f"{EXAMPLE}: [{table}] {key} has no line; the reference takes its meaning from there")
-        other, what = meaning(said[key])
-        cells = [f"`{key}`", expected, other or shown(default), what]
-        lines.append("| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |")
-    return [*lines, ""]
+            raise LookupError(f"{EXAMPLE}: {key} has no line; the reference takes its meaning from there")
+        words, what = meaning(said[key])
+        value, literal = words or shown(default), words is None or re.fullmatch(r"`[^`]*`", words)
+        notes = [brief(expected)]
+        if value == "required":
+            notes.insert(0, value)
+        elif not literal and value != "none":
+            notes.insert(0, f"default {value}")
+        given = f" = {value.strip('`')}" if literal and value not in ("none", "required") else ""
+        noted = "; ".join(note for note in notes if note)
+        lines.append(f"- `{key}{given}`{noted and f' ({noted})'}{what and f': {what}'}")
+    return lines
 
 
 def page() -> str:
@@ -141,16 +158,17 @@ def page() -> str:
             keys = {"load_kg": ("a list of numbers", None), "pos_<axis>_mm": ("a list of numbers", None)}
             own = own | {"pos_<axis>_mm": own["pos_y_mm"]}
         if table not in KINDS:
-            out += rows(table, keys, own)
+            out += [*rows(keys, own), ""]
             continue
         by_kind = {kind: names.split() for kind, names in KINDS[table].items()}
         common = set.intersection(*(set(names) for names in by_kind.values())) | {"backend", "kind"}
-        out += rows(table, {key: entry for key, entry in keys.items() if key in common}, own)
+        out += rows({key: entry for key, entry in keys.items() if key in common}, own)
         selector = "backend" if table == "drive" else "kind"
         shared = [key for key in keys if key not in common and _kinds(key, by_kind)]
         for names in dict.fromkeys(_kinds(key, by_kind) for key in shared):
             which = {key: keys[key] for key in shared if _kinds(key, by_kind) == names}
-            out += [f"With {selector} {' or '.join(names)}:", "", *rows(table, which, own)]
+            out += ["", f"With {selector} {' or '.join(names)}:", "", *rows(which, own)]
+        out += [""]
     return "\n".join(out).rstrip() + "\n"
 
 
