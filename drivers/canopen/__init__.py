@@ -16,9 +16,8 @@ From the wire up:
     units         the units that a drive reports         drive       all of that as a ServoDrive
     dcf           device configurations, also concise    sdo_cost    what transfers cost on the bus
     not_parameters  targets, commands, volatile objects  whole_pdo   one PDO as a single parameter
+    beside        the canopen package's network and node next to a drive
 
-The canopen package's reader of EDS files is not used: it refuses many, and takes values for what they are not. Its SDO client and
-CiA-402 node are not used either. Their faults (tests/integration/test_canopen_library_faults.py) cannot
-be corrected from outside: an SDO reply is taken without its index, a mode change sends a controlword that was not commanded. They also
-need a receiver thread, which loses exceptions and makes simulated time impossible.
+Nothing of this uses the canopen package; hil/decisions/0035-canopen-beside-not-below.md says why. It works beside a drive that hil
+moves, and a network of it may be the bus (`beside`).
 """

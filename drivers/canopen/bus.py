@@ -1,8 +1,8 @@
 """CanLink: one CAN bus with its clock: frames out, frames in, and waits with a time limit.
 
-There is no receiver thread: the thread that waits dispatches the frames. An exception in a handler is so raised by the waiting call
-(python-can's Notifier loses it with its thread), several axes share one bus without locks between them, and a run in simulated time is
-repeatable. Sending takes none of this module's locks, so that a stop can be sent from any thread while another one receives.
+There is no receiver thread: the thread that waits dispatches the frames. An exception in a handler is raised by the waiting call, and
+several axes share one bus without a thread each. Sending takes none of this module's locks, so that a stop can be sent from any
+thread while another one receives.
 """
 
 from __future__ import annotations
@@ -69,6 +69,8 @@ class CanLink:
         self._handlers: dict[int, tuple[FrameHandler, ...]] = {}
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
         self._lock = threading.RLock()
+        self.talking = threading.RLock()
+        """Held during an SDO access: threads that share the link take turns."""
         self._closed = False
         self._heartbeats: dict[int, tuple[float, Any]] = {}
         self._checked_ns = 0  # last call of check_interrupt

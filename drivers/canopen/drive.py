@@ -73,6 +73,10 @@ class CanOpenDrive(StoppableDrive):
     _parameters: NamedParameters | None = None
 
     # -- connection ------------------------------------------------------------------------------------------------------
+    @property
+    def is_open(self) -> bool:
+        return self._open
+
     def open(self) -> None:
         """Find the node, read its identity and capabilities, map the PDOs, supervise its heartbeat. Nothing is enabled or moved.
 

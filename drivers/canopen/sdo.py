@@ -354,7 +354,8 @@ class SdoClient:
 
         Raises AbortError, NoAnswerError, ProtocolError, LinkLostError.
         """
-        return self._read_bytes(index, subindex, block, most)
+        with self.link.talking:
+            return self._read_bytes(index, subindex, block, most)
 
     def _read_bytes(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
         try:
@@ -383,11 +384,12 @@ class SdoClient:
         talk = Conversation(index, subindex)
         transfer = block_download(talk, data) if block else download(talk, data)
         running = Running(self, talk, transfer, timeout_s)
-        try:
-            _run([running])
-            running.outcome()
-        except NoAnswerError as lost:
-            self.resolve(talk, data, lost, reads_back, same)
+        with self.link.talking:
+            try:
+                _run([running])
+                running.outcome()
+            except NoAnswerError as lost:
+                self.resolve(talk, data, lost, reads_back, same)
 
     def _upload(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
         running = self._uploading(index, subindex, block, most)

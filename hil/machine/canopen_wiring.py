@@ -25,6 +25,10 @@ def canopen_drive(
     config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus
     bitrate = None if interface == "virtual" else config.bitrate
     shared = Links() if links is None else links
+    if bus not in shared.can and shared.network is not None:
+        from drivers.canopen.beside import SharedBus  # noqa: PLC0415  (the canopen package is slow to import)
+
+        shared.can[bus] = stack.enter_context(CanLink(SharedBus(shared.network), clock))
     if bus not in shared.can:
         shared.can[bus] = stack.enter_context(
             CanLink.open(clock, interface=interface, channel=channel, bitrate=bitrate)
@@ -51,4 +55,8 @@ def canopen_drive(
         eds=None if config.eds is None else load_eds(config.eds, config.node_id),
         table=load_table_map(config.correction_table) if config.correction_table else None,
     )
+    if shared.network is not None:
+        from drivers.canopen.beside import Beside  # noqa: PLC0415  (as above)
+
+        stack.enter_context(Beside(drive, shared.network))
     return guarded(axis, drive)

@@ -11,6 +11,8 @@ from hil.axis.zero import zero_keeper
 from hil.machine.interrupts import stopped_by_signals
 
 if TYPE_CHECKING:  # a verb loads the wire that its axis file names
+    import canopen
+
     from drivers.canopen.bus import CanLink
     from drivers.modbus.endpoint import Endpoint
     from drivers.modbus.link import ModbusLink
@@ -20,10 +22,14 @@ Drive = TypeVar("Drive", bound=ServoDrive)
 
 @dataclass
 class Links:
-    """Links shared by the drives of one machine: one for each CAN bus (interface, channel), one for each Modbus endpoint."""
+    """Links shared by the drives of one machine: one for each CAN bus (interface, channel), one for each Modbus endpoint.
+
+    network: a user's connected canopen.Network in place of the CAN bus that the axis files name.
+    """
 
     can: dict[tuple[str, str], CanLink] = field(default_factory=dict)
     modbus: dict[Endpoint, ModbusLink] = field(default_factory=dict)
+    network: canopen.Network | None = None
 
 
 def guarded(axis: DriveAxis, drive: Drive) -> Drive:

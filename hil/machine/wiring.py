@@ -25,6 +25,8 @@ from hil.machine.links import Links
 from hil.machine.session import AxisSession
 
 if TYPE_CHECKING:  # a verb loads the wire that its axis file names
+    import canopen
+
     from drivers.modbus.parameters import ModbusParameters
     from sim_backends.bench import Bench, BenchParameters
 
@@ -49,12 +51,15 @@ def connected(
     bench: BenchParameters | None = None,
     conditions: Conditions | None = None,
     waiting: Waiting | None = None,
+    network: canopen.Network | None = None,
 ) -> Iterator[Machine]:
     """Connect the axis of an axis file. On leaving it is stopped after an error, disabled unless it was enabled, and disconnected.
 
     bench: for backend "bench", the simulated machine to build instead of the one that the axis file names
     conditions: sets load and the like on a real machine; the bench has its own
     waiting: the waits of the axis's clock go through it, so that another thread can end a wait
+    network: a user's connected canopen.Network in place of the CAN bus that the axis file names; what would move the axis beside us is
+    refused there (`drivers.canopen.beside`)
     Raises InputError for a bench whose travel or scaling is not the axis file's, and while another process has connected this axis
     file or its drive. Raises what connecting raises.
     """
@@ -66,29 +71,32 @@ def connected(
 
             (machine,) = bench_machines([axis], None if bench is None else [bench], stack, waiting)
         else:
-            machine = _on_hardware(axis, conditions, stack, waiting)
+            machine = _on_hardware(axis, conditions, stack, WallClock(waiting), Links(network=network))
         stack.enter_context(machine.session)
         yield machine
 
 
-def _on_hardware(axis: AxisConfig, conditions: Conditions | None, stack: ExitStack, waiting: Waiting | None) -> Machine:
-    clock = WallClock(waiting)
-    drive = hardware_drive(axis, clock, stack)
-    return Machine(
-        axis, session_of(axis, drive, build_instrument(axis.instrument, axis.instrument.port, clock), conditions)
-    )
+def _on_hardware(
+    axis: AxisConfig, conditions: Conditions | None, stack: ExitStack, clock: Clock, links: Links
+) -> Machine:
+    drive = hardware_drive(axis, clock, stack, links)
+    instrument = build_instrument(axis.instrument, axis.instrument.port, clock)
+    return Machine(axis, session_of(axis, drive, instrument, conditions))
 
 
 # -- drives ------------------------------------------------------------------------------------------------------------
 @contextmanager
 def connected_drive(
-    axis: DriveAxis, bench: BenchParameters | None = None, waiting: Waiting | None = None
+    axis: DriveAxis,
+    bench: BenchParameters | None = None,
+    waiting: Waiting | None = None,
+    network: canopen.Network | None = None,
 ) -> Iterator[ServoDrive]:
-    """The drive alone, open, without an instrument; it is not enabled. bench, waiting, errors: as for `connected`."""
+    """The drive alone, open, without an instrument; it is not enabled. bench, waiting, network, errors: as for `connected`."""
     with ExitStack() as stack:
         stack.enter_context(ending_by_signals())
         stack.enter_context(held_axis(axis))
-        yield stack.enter_context(_drive_alone(axis, stack, bench, waiting))
+        yield stack.enter_context(_drive_alone(axis, stack, bench, waiting, network))
 
 
 @contextmanager
@@ -110,13 +118,17 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
 
 
 def _drive_alone(
-    axis: DriveAxis, stack: ExitStack, bench: BenchParameters | None = None, waiting: Waiting | None = None
+    axis: DriveAxis,
+    stack: ExitStack,
+    bench: BenchParameters | None = None,
+    waiting: Waiting | None = None,
+    network: canopen.Network | None = None,
 ) -> ServoDrive:
     if axis.drive.backend == "bench":
         from hil.machine.bench_wiring import bench_drive  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
         return bench_drive(axis, bench, stack, waiting)
-    return hardware_drive(axis, WallClock(waiting), stack)
+    return hardware_drive(axis, WallClock(waiting), stack, Links(network=network))
 
 
 def described_table(axis: DriveAxis) -> TableDescription | None:
