@@ -27,12 +27,12 @@ from support.bench import ROW
 HERE = Path(__file__).resolve().parent
 PAGE = HERE.parents[1] / "hil/docs/benchmarks.md"
 BEGIN = "<!-- python tests/bench --write -->"
-HEAD = "| Figure | Ours | Beside | Ratio | Asked | Command |\n|---|---|---|---|---|---|"
+HEAD = "| Figure | Ours | Beside | Ratio | Asked | Bench |\n|---|---|---|---|---|---|"
 
 
 @dataclass
 class Rows:
-    """A plugin that collects the lines of the benches. found: command and cells, in the order of the benches"""
+    """A plugin that collects the lines of the benches. found: file and cells, in the order of the benches"""
 
     found: list[tuple[str, dict[str, str]]] = field(default_factory=list)
 
@@ -41,14 +41,12 @@ class Rows:
         if report.when != "call" or not report.passed:
             return
         file = report.nodeid.split("::")[0].rpartition("/")[2]
-        self.found += [
-            (f"pytest -s tests/bench/{file}", json.loads(str(v))) for k, v in report.user_properties if k == ROW
-        ]
+        self.found += [(file, json.loads(str(v))) for k, v in report.user_properties if k == ROW]
 
 
-def line(command: str, cells: Mapping[str, str]) -> str:
+def line(file: str, cells: Mapping[str, str]) -> str:
     """One line of the table as Markdown."""
-    words = (cells["figure"], cells["ours"], cells["beside"], cells["ratio"], cells["asked"] or "–", f"`{command}`")
+    words = (cells["figure"], cells["ours"], cells["beside"], cells["ratio"], cells["asked"] or "–", f"`{file}`")
     return f"| {' | '.join(words)} |"
 
 
@@ -58,11 +56,11 @@ def table(lines: Iterable[str]) -> str:
 
 
 def joined(old: Iterable[str], new: Iterable[str]) -> list[str]:
-    """Lines of an older table with newer ones in their places: the same figure, beside the same, by the same command."""
+    """Lines of an older table with newer ones in their places: the same figure, beside the same, by the same bench."""
 
     def key(one: str) -> tuple[str, str, str]:
-        figure, _, beside, *_, command = one.strip("| ").split(" | ")
-        return command, figure, beside.partition(":")[0]
+        figure, _, beside, *_, file = one.strip("| ").split(" | ")
+        return file, figure, beside.partition(":")[0]
 
     lines = {key(one): one for one in old} | {key(one): one for one in new}
     return [lines[one] for one in sorted(lines, key=lambda one: one[0])]
@@ -83,7 +81,7 @@ def main(words: Sequence[str]) -> int:
     status = pytest.main(
         [str(HERE), "-q", "-s", "-n", "0", "-m", "outside", "-p", "no:cacheprovider", *options], [rows]
     )
-    lines = [line(command, cells) for command, cells in rows.found]
+    lines = [line(file, cells) for file, cells in rows.found]
     print(f"\n{table(lines)}")
     if "--write" in words:
         if status != pytest.ExitCode.OK:

@@ -91,7 +91,7 @@ def test_one_set_point(record_property: Record) -> None:
     each_us = [1e6 * median(times) / SET_POINTS for times in (mine, theirs)]
     row(
         record_property,
-        "one corrected set-point of a stream: table of 200 places both ways, lost motion, two effects, checks",
+        "one corrected set-point of a stream",
         *each_us,
         "µs",
         beside="bisect and interpolation alone",
@@ -100,7 +100,7 @@ def test_one_set_point(record_property: Record) -> None:
     )
     row(
         record_property,
-        "begin of a stream: the same correction prepared, while the axis stands",
+        "preparation of that correction, at rest",
         1e3 * median(prepared),
         PERIOD_MS,
         "ms",
@@ -129,7 +129,7 @@ def test_a_million_positions(record_property: Record) -> None:
             1e3 * median(mine),
             1e3 * median(bare),
             "ms",
-            beside="numpy.interp of one direction",
+            beside="numpy.interp",
             ratio=median_ratio(mine, bare),
             asked=asked,
         )

@@ -87,7 +87,7 @@ def test_300_parameters_on_one_node(eds: Path, tmp_path: Path, record_property: 
     }
     row(
         record_property,
-        "download of 300 parameters to one drive, written and read back",
+        "300 parameters to one drive, written and read back",
         frames,
         least_write,
         "frames",
@@ -96,7 +96,7 @@ def test_300_parameters_on_one_node(eds: Path, tmp_path: Path, record_property: 
     )
     row(
         record_property,
-        "download of 300 parameters to one drive, with a look before",
+        "300 parameters to one drive, with a look before",
         all_frames,
         least_whole,
         "frames",
@@ -106,7 +106,7 @@ def test_300_parameters_on_one_node(eds: Path, tmp_path: Path, record_property: 
     predicted_ms = [1e3 * prediction.write.seconds_likely, 1e3 * prediction.whole.seconds_likely]
     row(
         record_property,
-        "download of 300 parameters to one drive, wire time",
+        "300 parameters to one drive, wire time",
         1e3 * busy_s,
         predicted_ms[0],
         "ms",
@@ -114,7 +114,7 @@ def test_300_parameters_on_one_node(eds: Path, tmp_path: Path, record_property: 
     )
     row(
         record_property,
-        "download of 300 parameters to one drive, the whole job",
+        "300 parameters to one drive, the whole job",
         1e3 * all_s,
         predicted_ms[1],
         "ms",
@@ -194,7 +194,7 @@ def test_eight_nodes_at_once(eds: Path, tmp_path: Path, record_property: Record)
         "faster_whole": plain_s / all_s,
         "predicted": all_s / likely_s,
     }
-    what = f"download of {EACH} parameters to each of 8 drives"
+    what = f"{EACH} parameters to each of 8 drives"
     row(record_property, f"{what}, written and read back", write_s, busy_s, "s", beside="the bus alone", asked="≤ 1.3")
     row(record_property, f"{what}, the whole job", all_s, all_busy_s, "s", beside="the bus alone", asked="≤ 1.3")
     row(

@@ -28,15 +28,15 @@ def test_a_line_is_printed_recorded_and_written(
     assert capsys.readouterr().out == "\nlooking | 4.2 µs | guessing: 2 µs | 2.1 | ≤ 3\n"
     ((name, value),) = recorded
     assert name == ROW
-    line = command.line("pytest -s tests/bench/x.py", json.loads(str(value)))
+    line = command.line("x.py", json.loads(str(value)))
     written = command.page(f"# Page\n{command.BEGIN}\nold", [line])
     assert "old" not in written
-    assert written.endswith("| looking | 4.2 µs | guessing: 2 µs | 2.1 | ≤ 3 | `pytest -s tests/bench/x.py` |\n")
+    assert written.endswith("| looking | 4.2 µs | guessing: 2 µs | 2.1 | ≤ 3 | `x.py` |\n")
     newer, other = line.replace("4.2 µs", "5 µs").replace("2 µs", "1 µs"), line.replace("looking", "hearing")
     assert command.joined([line, other], [newer]) == [newer, other]
     assert command.BEGIN in command.PAGE.read_text(encoding="utf-8")
-    for file in re.findall(r"`pytest -s (tests/bench/\S+)`", command.PAGE.read_text(encoding="utf-8")):
-        assert (BENCH.parents[1] / file).exists()
+    for file in re.findall(r"`(test_\w+\.py)` \|", command.PAGE.read_text(encoding="utf-8")):
+        assert (BENCH / file).exists()
 
 
 def test_figures_have_three_digits_and_ratios_are_of_rounds() -> None:
