@@ -30,9 +30,9 @@ from drivers.errors import (
 from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
-from drivers.shared_time import SharedTime
 from drivers.toml_types import Number, Positive
 from drivers.touch_probe import TouchProbe
+from drivers.way_out import WayOut
 
 TAKES_THE_PLACE = (35, 37)
 """Homing methods (6098h) that do not move. 1 to 34 search a switch or the index, so they move; negative ones are the maker's."""
@@ -170,9 +170,11 @@ class ServoDrive(ABC):
     raising. homed_elsewhere: called when a homing has ended in another frame than announced.
     destination_load_mm: target of the last profile move, load mm.
     falls_without_power: gravity can move the axis and no brake holds it; its power is taken off only once it was seen at rest.
+    way_out: time limit for shutting it down; None for a drive without a wire.
     """
 
     notes: Sequence[str] = ()
+    way_out: WayOut | None = None
     corrected_outside = False
     falls_without_power = False
     on_look: Callable[[DriveSample], None] | None = None
@@ -185,16 +187,6 @@ class ServoDrive(ABC):
         self.scaling = scaling
         self.limits = limits
         self.clock = clock
-
-    # -- shutting down together with other axes ------------------------------------------------------------------------
-    @property
-    def way_out_s(self) -> float:
-        """Longest time in which it is stopped, disabled and put back where it does not answer, s; 0.0 for a drive without a wire."""
-        return 0.0
-
-    def share_way_out(self, time: SharedTime) -> None:
-        """Shut down together with other axes: the time that drives without an answer use up is taken off this one's."""
-        del time
 
     # -- connection ------------------------------------------------------------------------------------------------
     @abstractmethod

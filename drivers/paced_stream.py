@@ -24,6 +24,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
+from drivers.shutdown import stop_together
 from drivers.undo import undo_all
 
 
@@ -156,13 +157,11 @@ class PacedStream(SetPointStream):
 
 
 def stop_all(streams: Sequence[PacedStream], error: BaseException) -> None:
-    """Quick-stop the axes whose streams run: all stops are sent before any confirmation is waited for. Failures become notes of the
-    error."""
+    """Stop the axes whose streams run, see `stop_together`."""
     running = [stream for stream in streams if stream.running]
     for stream in running:
         stream.running = False
-        stream.drive.send_stop()
-    undo_all([("", stream.drive.quick_stop) for stream in running], during=error)
+    stop_together([stream.drive for stream in running], error)
 
 
 class PacedGroup(SetPointGroup):

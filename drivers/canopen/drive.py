@@ -27,7 +27,7 @@ from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings, HomingSettings
-from drivers.canopen.stopping import StoppableDrive
+from drivers.canopen.stopping import StoppableNode
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.canopen.units import motion_units, object_of, read_units, readings, unit_objects
@@ -45,17 +45,16 @@ from drivers.errors import (
     BridgeError,
     CapabilityError,
     DriveFaultError,
-    HeldUnderPowerError,
     InputError,
     MotionTimeoutError,
     NoAnswerError,
     ProtocolError,
     StateError,
     TransportError,
-    UndoError,
 )
 from drivers.scaling import MotionScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
+from drivers.shutdown import Left
 from drivers.undo import undo_all
 
 __all__ = ["CanOpenDrive", "CanOpenSettings", "HomingSettings", "Identity"]
@@ -65,7 +64,7 @@ STRAYS_MM = 1.0
 """How far outside its way an axis may be seen while it takes a set-point: more than moves overshoot, and than a load sags."""
 
 
-class CanOpenDrive(StoppableDrive):
+class CanOpenDrive(StoppableNode):
     """One node as a drive. identity: of the device, known once open."""
 
     identity: Identity | None = None
@@ -87,9 +86,10 @@ class CanOpenDrive(StoppableDrive):
         for place in (*self.limits.ends_mm, self.settings.homing.home_position_mm or 0.0):
             if what := self.scaling.unheld(place):
                 raise InputError(f"drive {self.name}: an end of its travel, or its home position, {what}")
-        self.node.open(self.settings.sdo_timeout_s, self.settings.axis)
+        self.way_out.over()
+        self.node.open(self.settings.sdo_timeout_s, self.settings.axis, self.way_out)
         self.sdo, self.monitor = self.node.sdo, self.node.monitor
-        self.power = PowerStage(self.sdo, self.clock, self.settings.power)
+        self.power = PowerStage(self.sdo, self.clock, self.settings.power, self.way_out)
         self.sampler = Sampler(self.node, self.settings.sample_timeout_s)
         self._stream_axis = None
         self.connection = Connection(self.node, self.settings)
@@ -146,7 +146,7 @@ class CanOpenDrive(StoppableDrive):
             self._open = True
             self.sample()
         except BaseException as error:
-            with self.sdo.way_out:
+            with self.way_out.step(last=True):
                 undo_all([("", self.connection.put_back)], during=error)
             self._release()
             raise
@@ -205,45 +205,26 @@ class CanOpenDrive(StoppableDrive):
         return self.connection.pdo_findings
 
     def close(self) -> None:
-        """Bring the axis to rest and take its power off, over any channel that still works; then restore what was found.
+        """See `StoppableDrive.close`; works without the node's heartbeat, and over SDO or PDO alone."""
+        if self._open:
+            self.monitor.expect_heartbeat(None)  # a missing heartbeat must not prevent the stop
+        super().close()
 
-        Every step is tried. Raises what failed (`undo_all`), but not LinkLostError or NoAnswerError: without a wire nothing can be
-        done.
-        """
-        if not self._open:
-            return
+    def _put_back(self, left: Left) -> None:
+        """Mode, speeds, ramps of a disabled axis, and the communication."""
+        self.sdo.read(objects.STATUSWORD)  # without an answer each setting would cost a time-out of its own
+        steps = [("", self.motion.put_back)] if left is Left.OFF else []
+        communication = partial(self.connection.put_back, unwatched=left is not Left.UNKNOWN)
+        undo_all([*steps, ("", communication)])
+
+    def _answers(self) -> bool:
         try:
-            with self.sdo.way_out:
-                self._shut_down()
+            self.sdo.read_if_shown(objects.STATUSWORD, 0)
         except TransportError:
-            pass
-        except UndoError as error:
-            if not all(isinstance(part, TransportError) for part in error.errors):
-                raise
-        finally:
-            self._release()
-
-    def _shut_down(self) -> None:
-        """Leave the axis disabled, and mode, speeds, ramps and communication as they were found."""
-        self.monitor.expect_heartbeat(None)  # a missing heartbeat must not prevent the stop
-        ended: list[BridgeError | None] = []
-
-        def disable() -> None:
-            try:
-                self.disable()
-            except BridgeError as error:
-                ended.append(error)
-                raise
-            ended.append(None)
-
-        def put_back() -> None:
-            failed = ended[0] if ended else None
-            self.sdo.read(objects.STATUSWORD)  # without an answer each setting would cost a time-out of its own
-            steps = [] if failed is not None or not ended else [("", self.motion.put_back)]
-            may_move = not ended or (failed is not None and not isinstance(failed, HeldUnderPowerError))
-            undo_all([*steps, ("", partial(self.connection.put_back, unwatched=not may_move))])
-
-        undo_all([("", disable), ("", put_back)])
+            return False
+        except BridgeError:
+            return True
+        return True
 
     def _release(self) -> None:
         self._open = False
@@ -382,13 +363,13 @@ class CanOpenDrive(StoppableDrive):
 
     # -- enabling --------------------------------------------------------------------------------------------------------
     def _enable(self) -> None:
-        self.power.stopped = self.power.disobeyed = self._braking_awaited = False
-        self.sdo.way_out.end()
+        self.power.stopped = False
+        self.way_out.over()
         self._require_units()
         self.set_mode(self.motion.resting_mode, until_enabled=True)
         if self.power.state() is DriveState.QUICK_STOP and self._quick_stop_holds():
-            with self._stopped_if_it_fails():
-                if not self._comes_to_rest(self.settings.power.stop_s):
+            with self._no_motion_after_errors():
+                if not self._comes(self._rests(), self.settings.power.stop_s):
                     raise MotionTimeoutError(f"drive {self.name}: still moving in quick stop, not enabled")
                 self.power.resume_from_quick_stop(self.motion.stay)
             return
@@ -398,7 +379,7 @@ class CanOpenDrive(StoppableDrive):
         except BaseException as error:
             # a brake that opens later would complete an enabling that was given up
             self._send(Command.DISABLE_VOLTAGE.word)
-            with self.sdo.way_out:
+            with self.way_out.step(last=False):
                 undo_all([("", partial(self.power.write, Command.DISABLE_VOLTAGE.word))], during=error)
             raise
 
@@ -413,7 +394,7 @@ class CanOpenDrive(StoppableDrive):
         self._require_units()
         velocity = self.units.velocity_units(velocity_mm_s)
         self.motion.check_velocity(velocity)
-        with self._stopped_if_it_fails():
+        with self._no_motion_after_errors():
             self.motion.move(
                 self.scaling.motor_counts(position_load_mm),
                 velocity,
@@ -433,7 +414,7 @@ class CanOpenDrive(StoppableDrive):
     # -- homing ----------------------------------------------------------------------------------------------------------
     def _start_homing(self) -> None:
         self._require_units()
-        with self._stopped_if_it_fails():
+        with self._no_motion_after_errors():
             self.homing.start(self.settings.homing, self.units)
 
     def home(self, timeout_s: float, *, attempts: int = 1) -> DriveSample:

@@ -61,8 +61,6 @@ TRY_S = 0.05
 """Time in which a drive at rest shows a mode that it takes, s: five slow control cycles."""
 FREE_S = 0.05
 """Time in which a drive takes bit 12 back once bit 4 has fallen, s: five slow control cycles. The next set-point waits longer."""
-LOOK_S = 0.01
-"""Interval of samples of an axis that is coming to rest, s."""
 
 
 HOLDING = (0, Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION)

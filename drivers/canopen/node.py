@@ -15,6 +15,7 @@ from drivers.canopen.sdo import SdoClient
 from drivers.canopen.table_map import TableMap
 from drivers.clock import NS_PER_S
 from drivers.errors import LinkLostError
+from drivers.way_out import WayOut
 
 NMT = 0x000
 EMERGENCY = 0x080
@@ -205,10 +206,11 @@ class Node:
         self.eds = eds
         self.table = table
 
-    def open(self, sdo_timeout_s: float = 0.5, axis: int = 1) -> None:
-        """Listen to the node; no request is sent. sdo_timeout_s: for one answer, s. axis: of a node with several."""
+    def open(self, sdo_timeout_s: float = 0.5, axis: int = 1, way_out: WayOut | None = None) -> None:
+        """Listen to the node; no request is sent. sdo_timeout_s: for one answer, s. axis: of a node with several. way_out: limits its
+        requests while it is shut down."""
         where = f"drive {self.name}"
-        self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=sdo_timeout_s, axis=axis)
+        self.sdo = SdoClient(self.link, self.node_id, where, timeout_s=sdo_timeout_s, axis=axis, way_out=way_out)
         self.monitor = NodeMonitor(self.link, self.node_id, where)
 
     def close(self) -> None:

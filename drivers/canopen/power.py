@@ -15,10 +15,9 @@ from drivers.canopen.sdo import SdoClient
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import FAULTS, DriveState
 from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError, StateError
+from drivers.way_out import WayOut
 
 POLL_S = 0.002
-AGAIN_S = 0.5
-"""Time for the disabling of a drive that stayed enabled after a quick stop or an earlier try, s: fifty slow control cycles."""
 ENABLING = Command.ENABLE_OPERATION.word
 STANDS_S = 0.002
 """Time for which a controlword stands before one whose rising edge acts, s: a drive may look at it every millisecond only, and of two
@@ -42,17 +41,16 @@ class PowerStage:
 
     stopped: a stop was sent since the axis was enabled last. From then on no command is sent that enables, because in the state
     quick stop active "enable operation" makes the axis continue (transition 16). Any thread may set it.
-    disobeyed: since it was enabled last, the drive answered and stayed enabled after a quick stop, or longer than disabling may take.
     """
 
-    def __init__(self, sdo: SdoClient, clock: Clock, times: PowerTimes) -> None:
+    def __init__(self, sdo: SdoClient, clock: Clock, times: PowerTimes, way_out: WayOut) -> None:
         self._sdo = sdo
+        self._way_out = way_out
         self._clock = clock
         self.times = times
         self.controlword = 0  # as last written by us
         self._written_ns = 0  # when
         self.stopped = False
-        self.disobeyed = False
 
     @property
     def _name(self) -> str:
@@ -117,20 +115,13 @@ class PowerStage:
         self._await(lambda state: state is DriveState.ENABLED, self.times.enable_s, "enabled out of quick stop")
 
     def disable(self) -> None:
-        """Go down to SWITCH_ON_DISABLED; a fault counts as disabled. A drive that `disobeyed` is waited for `AGAIN_S`.
-
-        Raises MotionTimeoutError."""
+        """Go down to SWITCH_ON_DISABLED; a fault counts as disabled. Raises MotionTimeoutError."""
         resting = (DriveState.SWITCH_ON_DISABLED, DriveState.FAULT, DriveState.NOT_READY)
         if self.state() in resting:
             self.write(Command.DISABLE_VOLTAGE.word)
         else:
-            allowed_s = min(AGAIN_S, self.times.disable_s) if self.disobeyed else self.times.disable_s
-            try:
-                self._walk(DriveState.SWITCH_ON_DISABLED, DISABLE_STEPS.get, allowed_s, "disabled", also=resting)
-            except MotionTimeoutError:
-                self.disobeyed = True
-                raise
-        self.disobeyed = False
+            allowed_s = self._way_out.power_off_s(self.times.disable_s)
+            self._walk(DriveState.SWITCH_ON_DISABLED, DISABLE_STEPS.get, allowed_s, "disabled", also=resting)
 
     def reset_fault(self) -> None:
         """Send the rising edge of bit 7, then a controlword that enables nothing. Raises DriveFaultError when the fault remains."""
@@ -182,7 +173,7 @@ class PowerStage:
                 )
             if deadline.expired:
                 raise MotionTimeoutError(
-                    f"{self._name}: not {what} within {timeout_s:g} s, it stays in {state.value}{self.why(state, status)}"
+                    f"{self._name}: not {what} within {timeout_s:.3g} s, it stays in {state.value}{self.why(state, status)}"
                 )
             if state is not commanded:
                 command = step(state)

@@ -57,7 +57,7 @@ class Sampler:
         self.heard_ns = 0
         self.asked_ns = 0  # before the values were taken
         self.missed = 0  # SYNCs that were not answered in time
-        self.tpdos_in_stream = False  # a stream has them; see `StoppableDrive.begin_streaming`
+        self.tpdos_in_stream = False  # a stream has them; see `StoppableNode.begin_streaming`
         self.without_pdos = False  # the drive takes no TPDO of status and position: every sample is read by SDO
         self.node_id = node.node_id
         self._in_sync = True  # the TPDOs answer SYNC

@@ -11,10 +11,11 @@ and `longest_s`, by the bytes carried, from its beginning. While a drive is shut
 from __future__ import annotations
 
 import contextlib
+import math
 import operator
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from drivers.canopen.bus import STOP_SEND_S, CanLink
 from drivers.canopen.objects import Entry
@@ -44,6 +45,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.raw_parameters import Pause, Steps
+from drivers.way_out import WayOut
 
 Absent = TypeVar("Absent", int, None)
 T = TypeVar("T")
@@ -55,11 +57,6 @@ WRONG_LENGTH = (0x06070010, 0x06070012, 0x06070013)
 SDO_REQUEST = 0x600
 SDO_RESPONSE = 0x580
 QUIET_TIMES = 10  # number of quiet times after which a channel that does not fall silent is given up
-WAY_OUT_S = 5.0
-"""Longest time, in all, spent on a drive that leaves requests unanswered while its axis is brought to rest, disabled and put back, s.
-Ten answers of 0.5 s; with the request that showed the silence, 1.7 s, and an axis that brakes, it ends within 10 s."""
-AT_LEAST_S = 1.0
-"""Rest of that time, s, where the first unanswered request comes late, after a long ramp: two answers, or sixty quick ones."""
 
 
 @dataclass
@@ -97,13 +94,15 @@ class Running(Generic[T]):
         self.talk = talk
         self.timeout_s = timeout_s or client.timeout_s
         self._transfer = transfer
-        self._began_ns = self._moved_ns = self._steps = 0
+        self.began_ns = self._moved_ns = self._steps = 0
+        self._limit_ns: float = math.inf  # of a drive that is shut down
         self.finished = False
         self.result: T | None = None
         self.error: BridgeError | None = None
 
     def start(self) -> None:
-        self._began_ns = self._moved_ns = self.client.link.clock.now_ns()
+        self.began_ns = self._moved_ns = self.client.link.clock.now_ns()
+        self._limit_ns = self.began_ns + self.client.reply_s() * NS_PER_S
         self._step(None)
 
     def on_frame(self, time_ns: int, data: bytes) -> None:
@@ -117,9 +116,8 @@ class Running(Generic[T]):
     def until_ns(self) -> int:
         """End of its time, ns: no answer continued it in time, or it takes too long for the bytes carried."""
         longest_ns = round(longest_s(self.timeout_s, self.talk.carried) * NS_PER_S)
-        own_ns = min(self._moved_ns + round(self.timeout_s * NS_PER_S), self._began_ns + longest_ns)
-        limit_ns = self.client.way_out.limit_ns
-        return own_ns if limit_ns is None else min(own_ns, limit_ns)
+        own_ns = min(self._moved_ns + round(self.timeout_s * NS_PER_S), self.began_ns + longest_ns)
+        return own_ns if self._limit_ns == math.inf else min(own_ns, round(self._limit_ns))
 
     def expire(self) -> None:
         self.client.end()
@@ -153,7 +151,7 @@ class Running(Generic[T]):
             (OtherAnswerError, self.talk.instead) if self.talk.instead else (NoAnswerError, "was not answered in time")
         )
         if self.talk.steps:
-            lasted_s = (self.client.link.clock.now_ns() - self._began_ns) / NS_PER_S
+            lasted_s = (self.client.link.clock.now_ns() - self.began_ns) / NS_PER_S
             how += f": {self.talk.carried} bytes in {lasted_s:.3f} s"
         self.fail(kind(f"{self.client.name}: SDO {self.talk.place()} {how}"))
         with contextlib.suppress(LinkLostError):  # the waiting call has already raised for a lost bus
@@ -166,79 +164,13 @@ class Running(Generic[T]):
         return self.result
 
 
-class WayOut:
-    """Time limit for shutting down one drive: `WAY_OUT_S` from its first stop on, however many steps are tried.
-
-    The limit is in force from the first request that is not answered, and only inside `with`: a drive that answers is not limited.
-    After the limit a request fails at once, without a frame. It ends when the drive answers a request outside, or all of them inside
-    and no error was raised. Where only the last one was answered, as by chance, the time goes on with the next step.
-    """
-
-    def __init__(self, now_ns: Callable[[], int]) -> None:
-        self._now_ns = now_ns
-        self._depth = 0
-        self._began_ns: int | None = None
-        self._until_ns: int | None = None
-        self._spent_ns = 0  # by the steps before
-        self._answered = True  # whether the last request was answered
-
-    def begin(self) -> None:
-        """Start the time, unless it runs already. For any thread and a signal handler."""
-        if self._began_ns is None:
-            self._began_ns = self._now_ns() - self._spent_ns
-
-    def end(self) -> None:
-        """Remove the limit: the drive is expected to answer."""
-        self._began_ns = self._until_ns = None
-        self._spent_ns = 0
-
-    def __enter__(self) -> Self:
-        self.begin()
-        self._depth += 1
-        return self
-
-    def __exit__(self, exc_type: type[BaseException] | None, *_: object) -> None:
-        self._depth -= 1
-        if not self._depth and self._answered and exc_type is None:
-            if self._until_ns is None or self._began_ns is None:
-                self.end()
-            else:
-                self._spent_ns = self._now_ns() - self._began_ns
-                self._began_ns = self._until_ns = None
-
-    def account(self, answered: bool) -> None:
-        """Account for a request that was answered, or not in its time."""
-        self._answered = answered
-        if answered:
-            if not self._depth:
-                self.end()
-        elif self._depth and self._until_ns is None and self._began_ns is not None:
-            whole_ns, least_ns = round(WAY_OUT_S * NS_PER_S), round(AT_LEAST_S * NS_PER_S)
-            self._until_ns = max(self._began_ns + whole_ns, self._now_ns() + least_ns)
-
-    @property
-    def inside(self) -> bool:
-        """Whether the drive is being shut down at this moment."""
-        return self._depth > 0
-
-    @property
-    def limit_ns(self) -> int | None:
-        """End of every wait, ns; None: there is no limit."""
-        return self._until_ns if self._depth else None
-
-    @property
-    def over(self) -> bool:
-        limit_ns = self.limit_ns
-        return limit_ns is not None and self._now_ns() >= limit_ns
-
-
 class SdoClient:
     """The default SDO channel of one node (CiA-301, 7.2.4).
 
     timeout_s: longest time for one answer, s; a transfer of n bytes ends within `longest_s(timeout_s, n)`. quiet_s: silence of the
     channel, s, before it is used again after a time-out; an answer within that time is late, not lost. axis: of a node with several;
     an `Entry` of the device profile then means that axis's (CiA 402: index + 800h for each further axis); `read_bytes` and
-    `write_bytes` take indices as they are.
+    `write_bytes` take indices as they are. way_out: limits the requests while the drive is shut down.
     """
 
     def __init__(
@@ -250,6 +182,7 @@ class SdoClient:
         timeout_s: float = 0.5,
         quiet_s: float = 0.2,
         axis: int = 1,
+        way_out: WayOut | None = None,
     ) -> None:
         self.link = link
         self._offset = AXIS_OFFSET * (axis - 1)
@@ -258,7 +191,8 @@ class SdoClient:
         self.timeout_s = timeout_s
         self.quiet_s = quiet_s
         self.counters = SdoCounters()
-        self.way_out = WayOut(lambda: link.clock.now_ns())  # noqa: PLW0108  (a link need have no clock until then)
+        self.way_out = way_out
+        self._silent = False  # the last request was not answered
         self._running: Running[Any] | None = None
         self._abandoned: Conversation | None = None  # until the channel has been quiet after it
         self._late_ns: list[int] = []  # times of frames that may belong to it
@@ -358,9 +292,12 @@ class SdoClient:
             return self._read_bytes(index, subindex, block, most)
 
     def _read_bytes(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
+        repeated = self.way_out is None or self.way_out.repeats(1, silent=self._silent)
         try:
             return self._upload(index, subindex, block, most)
         except NoAnswerError:
+            if not repeated:
+                raise
             return self._upload(index, subindex, block, most)
 
     def write_bytes(
@@ -456,9 +393,7 @@ class SdoClient:
         if self._settled(talk, data, lost, reads_back, late):
             return
         with self._unknown(lost):
-            # an axis that is being stopped does not wait for a second answer
-            read = self._upload if self.way_out.inside else self._read_bytes
-            present = read(talk.index, talk.subindex, block=False)
+            present = self.read_bytes(talk.index, talk.subindex)
         self._compare(present, data, lost, same)
 
     @contextlib.contextmanager
@@ -517,16 +452,22 @@ class SdoClient:
             return
         heard = self._late_ns
         heard.clear()
-        while not self.way_out.over:
+        while not self._gives_up:
             count = len(heard)
-            limit_ns = self.way_out.limit_ns
-            left_s = self.quiet_s if limit_ns is None else (limit_ns - self.link.clock.now_ns()) / NS_PER_S
-            yield Pause(min(self.quiet_s, left_s), lambda count=count: len(heard) > count)  # type: ignore[misc]
+            yield Pause(self.quiet_s, lambda count=count: len(heard) > count)  # type: ignore[misc]
             if len(heard) == count:
                 self._abandoned = None
                 return
             if heard[-1] - heard[0] > QUIET_TIMES * self.quiet_s * NS_PER_S:
                 raise ProtocolError(f"{self.name}: the SDO channel does not fall silent")
+
+    def reply_s(self) -> float:
+        """Longest wait for an answer of a drive that is shut down, s."""
+        return math.inf if self.way_out is None else self.way_out.reply_s(silent=self._silent)
+
+    @property
+    def _gives_up(self) -> bool:
+        return self.way_out is not None and self.way_out.gives_up(silent=self._silent)
 
     def begin(self, running: Running[Any]) -> None:
         """Give the channel to a transfer and send its first frame. Raises StateError where the channel is in use, NoAnswerError after
@@ -534,7 +475,7 @@ class SdoClient:
         if self._running is not None:
             raise StateError(f"{self.name}: the SDO channel is already in use")
         self.quieten()
-        if self.way_out.over:
+        if self._gives_up:
             raise NoAnswerError(
                 f"{self.name}: SDO {running.talk.place()} was not tried: the drive has ceased to answer"
             )
@@ -552,7 +493,9 @@ class SdoClient:
         self.counters.stale_frames += running.talk.skipped
         if isinstance(running.error, AbortError):
             self.counters.aborts += 1
-        self.way_out.account(running.finished)
+        self._silent = not running.finished
+        if self._silent and self.way_out is not None:
+            self.way_out.unanswered((running.until_ns - running.began_ns) / NS_PER_S)
         if not running.finished:
             self.counters.timeouts += 1
             self._abandoned = running.talk

@@ -21,7 +21,7 @@ from drivers.canopen.cia402 import Command, Mode, decode_state
 from drivers.canopen.pdo import SYNC_EVERY
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.sdo import write_together
-from drivers.canopen.stopping import StoppableDrive
+from drivers.canopen.stopping import StoppableNode
 from drivers.canopen.stream_axis import (
     RUNNING,
     RUNNING_MASK,
@@ -43,6 +43,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
+from drivers.shutdown import stop_together
 from drivers.undo import undo_all
 
 __all__ = ["AxesBySync", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings"]
@@ -63,7 +64,7 @@ class CyclicStream:
     answers SYNC.
     """
 
-    def __init__(self, drives: Sequence[StoppableDrive], settings: StreamSettings) -> None:
+    def __init__(self, drives: Sequence[StoppableNode], settings: StreamSettings) -> None:
         if not drives or len({id(drive.link) for drive in drives}) != 1:
             raise InputError("a stream needs drives, all on one link")
         if not settings.period_s > 0:
@@ -136,7 +137,7 @@ class CyclicStream:
         if staying:
             self._check_fit(*staying)
 
-    def _prepare(self, drive: StoppableDrive, axis: Axis) -> None:
+    def _prepare(self, drive: StoppableNode, axis: Axis) -> None:
         """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes effect.
 
         Raises StateError, CapabilityError, ProtocolError."""
@@ -175,10 +176,8 @@ class CyclicStream:
         self.link.subscribe(SYNC, self._on_sync)
 
     def _stop_all(self, error: BaseException) -> None:
-        """Send the stop to every axis at once; then wait for each confirmation, and disable an axis that does not confirm it."""
-        self._running = False
-        self._send_stops()
-        undo_all([("", partial(_stop, drive)) for drive in self._drives], during=error)
+        self._running, self._stopped = False, True
+        stop_together(self._drives, error)
 
     def _send_stops(self) -> None:
         self._stopped = True
@@ -191,7 +190,7 @@ class CyclicStream:
         taken = [(drive, axis) for drive, axis in zip(self._drives, self._axes, strict=True) if axis.taken]
         with ExitStack() as stack:
             for drive, _ in taken:
-                stack.enter_context(drive.sdo.way_out)
+                stack.enter_context(drive.way_out.step(last=False))
             undo_all(
                 [
                     ("", partial(_unwatch_sync, [axis for _, axis in taken])),
@@ -203,7 +202,7 @@ class CyclicStream:
                 interrupted=self._send_stops,
             )
 
-    def _give_back(self, drive: StoppableDrive, axis: Axis) -> None:
+    def _give_back(self, drive: StoppableNode, axis: Axis) -> None:
         """Restore the PDOs, and profile position unless it was stopped; an axis that cannot be restored is disabled."""
         self.link.unsubscribe(axis.tpdo.cob_id, axis.receive)
         axis.taken = False
@@ -354,15 +353,6 @@ class CyclicStream:
             raise axis.explain_status()
 
 
-def _stop(drive: StoppableDrive) -> None:
-    """Quick stop with confirmation; the axis is disabled where it is not confirmed."""
-    try:
-        drive.quick_stop()
-    except BridgeError as error:
-        undo_all([("", drive.disable)], during=error)
-        raise
-
-
 def _unwatch_sync(axes: Sequence[Axis]) -> None:
     """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h)."""
     watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
@@ -395,7 +385,7 @@ def _interpolation(period_s: float) -> tuple[int, int]:
 class _BySync(SetPoints):
     """SYNC is sent by this process. On entering, the axes must be enabled and the bus be able to carry the cycle."""
 
-    def __init__(self, drives: Sequence[StoppableDrive], settings: SetPointSettings) -> None:
+    def __init__(self, drives: Sequence[StoppableNode], settings: SetPointSettings) -> None:
         error_mm, missed = settings.following_error_mm, settings.missed_limit
         by_sync = StreamSettings(settings.period_s, following_error_mm=error_mm, missed_limit=missed)
         self._stream = CyclicStream(drives, by_sync)
@@ -417,7 +407,7 @@ class _BySync(SetPoints):
 class OneAxisStream(_BySync, SetPointStream):
     """Set-points to one axis, paced by SYNC."""
 
-    def __init__(self, drive: StoppableDrive, settings: SetPointSettings) -> None:
+    def __init__(self, drive: StoppableNode, settings: SetPointSettings) -> None:
         super().__init__([drive], settings)
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._found = 0, math.nan
@@ -440,7 +430,7 @@ class OneAxisStream(_BySync, SetPointStream):
 class AxesBySync(_BySync, SetPointGroup):
     """Set-points to several axes on one bus, all paced by one SYNC."""
 
-    def __init__(self, drives: Sequence[StoppableDrive], settings: SetPointSettings) -> None:
+    def __init__(self, drives: Sequence[StoppableNode], settings: SetPointSettings) -> None:
         super().__init__(drives, settings)
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._found = [(0, math.nan)] * len(drives)

@@ -8,19 +8,16 @@ does not count as running; a start bit is never sent twice.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 from drivers.clock import Clock
 from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
-    HeldUnderPowerError,
     InputError,
     MotionTimeoutError,
     StateError,
-    TransportError,
-    UndoError,
 )
 from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.drive_map import DriveMap, StreamMap
@@ -29,16 +26,17 @@ from drivers.modbus.map_facts import FactLedger, Proof
 from drivers.modbus.needs import Needs
 from drivers.modbus.order_evidence import judge_orders
 from drivers.modbus.parameters import ModbusParameters
-from drivers.modbus.stopping import StoppableDrive
+from drivers.modbus.stopping import StoppableUnit
 from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.wear import WearLedger
 from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
+from drivers.shutdown import Left
 from drivers.undo import undo_all
 
 
-class ModbusDrive(StoppableDrive):
+class ModbusDrive(StoppableUnit):
     """One unit on a link as a drive. Several drives may share the link; it is closed when the last of them closes.
 
     wear: where writes to the EEPROM are counted; ledger: where the facts of the map that were proven are kept.
@@ -87,47 +85,14 @@ class ModbusDrive(StoppableDrive):
             self.link.close()
             raise
 
-    def close(self) -> None:
-        """Disable, restore mode, speeds and ramps as they were found, and disconnect; every step is tried, see `undo_all`.
+    def _put_back(self, left: Left) -> None:
+        """Mode, speeds and ramps of a disabled axis, and the needs of the map."""
+        settings = [("", self.orders.put_back)] if left is Left.OFF else []
+        undo_all([*settings, ("", self._needs.put_back)])
 
-        Raises nothing when all of it failed without an answer: without a drive nothing can be done.
-        """
-        if not self._open:
-            return
-        try:
-            with self.way_out.step(last=True):
-                undo_all([("", self._disable_at_last), ("", self.orders.put_back), ("", self._needs.put_back)])
-        except BridgeError as error:
-            if not _is_silence(error) or self._answers():
-                raise
-        finally:
-            self._open = False
-            self.link.close()
-
-    def _disable_at_last(self) -> None:
-        """Disable once more where the first try failed and the drive answers, such as one that answers late or was silent for a
-        while."""
-        try:
-            self.disable()
-        except HeldUnderPowerError:
-            self.orders.forget()  # the mode of an axis under power is not changed
-            raise
-        except BridgeError:
-            if not self._answers():
-                raise
-            with suppress(BridgeError):  # the error of disabling is reported
-                self.quick_stop()
-            self.disable()
-
-    def _answers(self) -> bool:
-        """Whether the unit gives any answer to one request without repeats."""
-        try:
-            self._stop_look()
-        except TransportError:
-            return False
-        except BridgeError:
-            return True
-        return True
+    def _release(self) -> None:
+        self._open = False
+        self.link.close()
 
     @property
     def capabilities(self) -> frozenset[Capability]:
@@ -247,10 +212,8 @@ class ModbusDrive(StoppableDrive):
         state = self.power.state()
         if state is DriveState.NOT_READY:
             self.power.await_ready()
-        elif state is DriveState.QUICK_STOP and not self._stands_within(self._braking_s()):
-            raise MotionTimeoutError(
-                f"drive {self.name}: standstill before enabling not within {self._braking_s():g} s"
-            )
+        elif state is DriveState.QUICK_STOP and not self._seen_at_rest():
+            raise MotionTimeoutError(f"drive {self.name}: still moving in quick stop, not enabled")
         self._needs.arrange()
         self.moves.set_mode()
         self.power.enable(self._target_here)
@@ -370,10 +333,3 @@ class ModbusStream(PacedStream):
 
     def _end(self) -> None:
         self._modbus.end_stream()
-
-
-def _is_silence(error: BridgeError) -> bool:
-    """Whether the error consists of unanswered requests only."""
-    if isinstance(error, UndoError):
-        return all(_is_silence(each) for each in error.errors)
-    return isinstance(error, TransportError)

@@ -38,8 +38,8 @@ from drivers.errors import (
 )
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint
 from drivers.modbus.plan import Span, Table, WireCost, silent_interval_s
-from drivers.modbus.way_out import WayOut
 from drivers.modbus.wire import ACKNOWLEDGE, BUSY, NO_PATH, NO_TARGET, Function, PymodbusWire, Request, Wire
+from drivers.way_out import WayOut
 
 _SILENCE_S = 0.01  # real time without a byte after which a serial line counts as quiet, s
 
@@ -97,9 +97,6 @@ class _Unit:
     pending: Request | None = None  # timed out; its reply may still come
     answered: dict[tuple[object, ...], Request] = field(default_factory=dict)  # answered reads, by their echo
     way_out: WayOut | None = None  # limits its requests while it is shut down
-
-    def reply_s(self) -> float:
-        return math.inf if self.way_out is None else self.way_out.reply_s()
 
 
 class ModbusLink:
@@ -180,7 +177,7 @@ class ModbusLink:
             unit.pending = None  # a new connection carries no old replies
 
     def _turn_of(self, unit: int) -> AbstractContextManager[None]:
-        return self._turn(min(self.policy.turn_s, self._unit(unit).reply_s()))
+        return self._turn(min(self.policy.turn_s, self._reply_s(self._unit(unit))))
 
     @contextmanager
     def _turn(self, within_s: float) -> Iterator[None]:
@@ -247,7 +244,7 @@ class ModbusLink:
             state = self._unit(unit)
             # nothing was sent, so nothing is in doubt
             self._respect_backoff(state, f"Modbus {self.endpoint} unit {unit}", NoAnswerError, urgent=urgent)
-            self._connect(self._opened(), urgent=urgent, within_s=state.reply_s())
+            self._connect(self._opened(), urgent=urgent, within_s=self._reply_s(state))
             if doubt is Doubt.READ_BACK:
                 self._write_resolved(unit, request, table)
                 return
@@ -307,8 +304,10 @@ class ModbusLink:
         self, unit: int, request: Request, repeats: int, *, urgent: bool, blamed: bool = True
     ) -> tuple[int, ...]:
         """blamed: failing starts the unit's back-off. A single lost write or read does not: it is followed by another request."""
-        state = self._unit(unit)
-        self._respect_backoff(state, f"Modbus {self.endpoint} unit {unit}", NoAnswerError, urgent=urgent)
+        state, who = self._unit(unit), f"Modbus {self.endpoint} unit {unit}"
+        self._respect_backoff(state, who, NoAnswerError, urgent=urgent)
+        if not urgent and state.way_out is not None and state.way_out.gives_up(silent=self._silent(state)):
+            raise NoAnswerError(f"{who} was not tried: it has ceased to answer")
         tried, busy_s = 0, self._busy_s(unit)
         busy = self.clock.deadline(busy_s)
         while True:
@@ -346,14 +345,19 @@ class ModbusLink:
 
     def _repeats(self, unit: int, own: int) -> int:
         state = self._unit(unit)
-        silent = bool(state.failures or self._line.failures)
-        return own if state.way_out is None else state.way_out.repeats(own, silent=silent)
+        return own if state.way_out is None else state.way_out.repeats(own, silent=self._silent(state))
+
+    def _reply_s(self, state: _Unit) -> float:
+        return math.inf if state.way_out is None else state.way_out.reply_s(silent=self._silent(state))
+
+    def _silent(self, state: _Unit) -> bool:
+        return bool(state.failures or self._line.failures)
 
     # -- one exchange --------------------------------------------------------------------------------------------------
     def _exchange(self, unit: int, state: _Unit, request: Request, *, urgent: bool) -> tuple[int, ...]:
         wire, began_s = self._opened(), time.monotonic()
         try:
-            self._connect(wire, urgent=urgent, within_s=state.reply_s())
+            self._connect(wire, urgent=urgent, within_s=self._reply_s(state))
         except LinkLostError:
             self._waited(state, began_s)
             raise
@@ -370,7 +374,7 @@ class ModbusLink:
         self._count(requests=1)
         began_s = time.monotonic()
         try:
-            values = wire.exchange(unit, request, state.reply_s())
+            values = wire.exchange(unit, request, self._reply_s(state))
         except NoAnswerError:
             self._waited(state, began_s)
             self._count(no_answers=1)

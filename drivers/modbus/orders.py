@@ -14,9 +14,9 @@ from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import all_hold
 from drivers.modbus.map_roles import Condition, Write
 from drivers.modbus.register_access import RegisterAccess, whole
-from drivers.modbus.way_out import WayOut
 from drivers.modbus.wire import BUSY
 from drivers.undo import undo_all
+from drivers.way_out import WayOut
 
 POLL_S = 0.005
 _TARGETS_S = 3.0

@@ -12,7 +12,7 @@ from drivers.errors import DriveFaultError, MotionTimeoutError, ProtocolError, S
 from drivers.modbus.drive_map import Transition
 from drivers.modbus.drive_values import Unit
 from drivers.modbus.orders import POLL_S
-from drivers.modbus.way_out import WayOut
+from drivers.way_out import WayOut
 
 _BOOT_S = 5.0  # longest time in not ready to switch on, s
 
@@ -104,7 +104,7 @@ class PowerStates:
         state = self._await(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,
-            transition.timeout_s,
+            self._way_out.power_off_s(transition.timeout_s) if off else transition.timeout_s,
             transition.remedy,
         )
         if state in FAULTS and not off:

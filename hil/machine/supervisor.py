@@ -24,7 +24,7 @@ from drivers.errors import (
     SafetyError,
 )
 from drivers.instrument import Reading, ReadingStatus
-from drivers.shared_time import SharedTime
+from drivers.shutdown import share_time
 from drivers.standstill import ARRIVED_WITHIN_MM
 from drivers.undo import Step, undo_all
 from hil.machine.time_out import Motion, drive_report, likely_reason
@@ -116,18 +116,9 @@ class Supervisor:
                 power_off = partial(finish_despite_interrupt, axis.drive.disable)
                 steps.append((f"drive {axis.drive.name} may still be under power", power_off))
         self._found_enabled.clear()
-        self._share_way_out()
+        share_time([axis.drive for axis in (*self.axes, *self.beside)])
         undo_all((*steps, *more), during=error)
         self._stopped_for = None
-
-    def _share_way_out(self) -> None:
-        """Give the drives one common time limit for stopping and disabling, so that the time-outs of several dead drives do not add
-        up."""
-        drives = [axis.drive for axis in (*self.axes, *self.beside)]
-        if len(drives) > 1:
-            time = SharedTime(self.clock, max(drive.way_out_s for drive in drives))
-            for drive in drives:
-                drive.share_way_out(time)
 
     @contextmanager
     def leaving(self) -> Iterator[None]:
@@ -176,7 +167,7 @@ class Supervisor:
         A stop that is not confirmed is raised, or added to `during` as a note.
         """
         axes = (*self.axes, *self.beside)
-        self._share_way_out()
+        share_time([axis.drive for axis in (*self.axes, *self.beside)])
         for axis in axes if len(axes) > 1 else ():
             axis.drive.send_stop()
         undo_all([(f"drive {axis.drive.name} may still move", partial(_stop, axis)) for axis in axes], during=during)

@@ -546,7 +546,7 @@ def test_a_quick_stop_that_is_not_obeyed_is_told() -> None:
         drive.start_move(200.0, 50.0)
         r.clock.sleep_s(0.5)
         r.face.profile.defects.add(Defect.LOCAL_CONTROL)
-        with pytest.raises(MotionTimeoutError, match=r"quick stop acknowledged, but not obeyed within 0\.5 s"):
+        with pytest.raises(MotionTimeoutError, match="the quick stop was sent, but it stays enabled"):
             drive.quick_stop()
         r.face.profile.defects.clear()
 
@@ -565,6 +565,7 @@ def test_a_stop_that_another_thread_sends_ends_the_order_under_way() -> None:
         drive.orders.wait_for = stop_meanwhile  # type: ignore[method-assign, assignment]
         with pytest.raises(StateError, match="was told to stop; it takes orders again once it is enabled anew"):
             drive.start_move(200.0, 50.0)
+        drive.sample()  # answered after the stop that was posted
         controlwords = [int.from_bytes(pdu[3:5], "big") for pdu in writes_to(r.server, 0x2100)]
         assert not any(word & 0xF == 0xF for word in controlwords[controlwords.index(2) :])
         drive.orders.wait_for = wait_for  # type: ignore[method-assign]
@@ -644,9 +645,10 @@ def test_an_axis_not_seen_at_rest_is_quick_stopped_and_disabled_all_the_same() -
     with rig(CIA402) as r, r.drive as drive:
         drive.enable()
         unsteady(r, 2000)
-        drive.disable()
+        with pytest.raises(MotionTimeoutError, match="quick-stopped and disabled all the same"):
+            drive.disable()
         assert not r.servo.powered
-        assert stops(r) == 1
+        assert stops(r) >= 1
 
 
 def test_an_axis_not_seen_at_rest_that_would_fall_is_held() -> None:
@@ -657,7 +659,7 @@ def test_an_axis_not_seen_at_rest_that_would_fall_is_held() -> None:
         drive.enable()
         drive.start_move(1.0, 10.0)
         unsteady(r, 2000)
-        with pytest.raises(HeldUnderPowerError, match="gravity can move the axis and no brake is stated"):
+        with pytest.raises(HeldUnderPowerError, match="gravity can move its axis: it is left under power"):
             drive.disable()
         with pytest.raises(HeldUnderPowerError):
             drive.close()
@@ -734,7 +736,7 @@ def test_a_drive_that_falls_silent_for_a_while_is_disabled_and_put_back_by_closi
         assert drive.parameters.read_many(names) == before
 
 
-def test_a_drive_that_cannot_be_disabled_is_stopped_put_back_and_told_by_closing() -> None:
+def test_a_drive_that_cannot_be_disabled_is_stopped_keeps_its_mode_and_is_told_by_closing() -> None:
     with rig(CIA402) as r:
         drive = r.drive
         drive.open()
@@ -748,11 +750,12 @@ def test_a_drive_that_cannot_be_disabled_is_stopped_put_back_and_told_by_closing
             raise AbortError("device failure", 4)
 
         drive.power.disable = refused  # type: ignore[method-assign, assignment]
+        drive.power.post_off = lambda _state: None  # type: ignore[method-assign, assignment]
         with pytest.raises(AbortError, match="device failure"):
             drive.close()
         assert r.servo.velocity_actual_counts_s == 0
         assert stops(r) >= 1
-        assert r.face.dictionary.number(0x6081) != 100_000  # put back
+        assert r.face.dictionary.number(0x6081) == 100_000  # as it may be under power
 
 
 def test_all_that_fails_when_closing_is_told_together() -> None:
@@ -770,7 +773,7 @@ def test_all_that_fails_when_closing_is_told_together() -> None:
         drive.power.disable = refused  # type: ignore[method-assign, assignment]
         r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, function=16, count=100, code=4))
         with pytest.raises(
-            UndoError, match=r"^device failure; profile_velocity not put back: .*device failure"
+            UndoError, match=r"^profile_velocity not put back: .*device failure.*; profile_acceleration not put back: "
         ) as caught:
             drive.close()
         assert isinstance(caught.value.errors[0], AbortError)

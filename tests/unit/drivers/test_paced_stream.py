@@ -64,7 +64,7 @@ def test_a_group_is_told_to_stop_before_any_of_it_is_waited_for(axes: tuple[Driv
         group.cycle([0.1, 301.0])
     assert x.log == ["X stop", "Y stop", "X stop awaited", "X stop", "Y stop awaited", "Y stop"]
     assert caught.value.__notes__ == ["X does not answer"]
-    assert (state(x), state(y)) == (DriveState.QUICK_STOP, DriveState.QUICK_STOP)
+    assert (state(x), state(y)) == (DriveState.SWITCH_ON_DISABLED, DriveState.QUICK_STOP)  # X did not confirm it
 
 
 def test_a_group_of_which_one_cannot_be_entered_stops_the_others(axes: tuple[Drive, Drive]) -> None:
