@@ -35,10 +35,15 @@ class Listening:
         this process's delay.
 
         in_vain: the wait that was granted has passed in full, even where it does not advance the clock."""
-        now_ns = self._now_ns()
+        now_ns, granted_s = self._now_ns(), self._granted_s
         took_s = (now_ns - self._seen_ns) / NS_PER_S
-        delay_s = min(max(0.0, took_s - self._granted_s), self._excused_s)
-        self._excused_s -= delay_s
-        self._left_s -= max(took_s - delay_s, self._granted_s if in_vain else 0.0)
-        self._seen_ns, self._granted_s = now_ns, max(0.0, min(self._left_s, IO_SLICE_S))
-        return self._granted_s
+        if took_s > granted_s:
+            delay_s = min(took_s - granted_s, self._excused_s)
+            self._excused_s -= delay_s
+            took_s -= delay_s
+        elif in_vain:
+            took_s = granted_s
+        self._left_s = left_s = self._left_s - took_s
+        self._seen_ns = now_ns
+        self._granted_s = granted_s = IO_SLICE_S if left_s > IO_SLICE_S else left_s if left_s > 0.0 else 0.0
+        return granted_s

@@ -82,12 +82,6 @@ def is_gone(error: Exception) -> bool:
     return any(isinstance(each, OSError) for each in causes(error))
 
 
-def is_damaged(message: can.Message) -> bool:
-    """Whether a frame of the 11-bit kind is none: cut short, too long, or with an identifier of more bits."""
-    cut = not message.is_remote_frame and len(message.data) != message.dlc
-    return cut or message.dlc > 8 or message.arbitration_id > 0x7FF
-
-
 def drop_undecoded(bus: can.BusABC) -> None:
     """Discard the bytes that an interface has kept and cannot decode: slcan and socketcand (python-can 4.6) would fail at them again
     with every later frame. slcan also discards what waits in the port."""

@@ -19,7 +19,6 @@ from drivers.canopen.adapters import (
     READ_ERRORS,
     SEND_S,
     drop_undecoded,
-    is_damaged,
     is_gone,
     open_adapter,
     place_of,
@@ -50,6 +49,14 @@ more than a burst of noise brings, and over within `POLL_S` where every read fai
 _SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
 
+def _selectable(bus: can.BusABC) -> bool:
+    """Whether the interface has a descriptor, which shows that something waits."""
+    try:
+        return bus.fileno() >= 0
+    except (*_GONE, NotImplementedError):
+        return False
+
+
 class CanLink:
     """A python-can bus with its clock.
 
@@ -67,6 +74,7 @@ class CanLink:
         self._failed = 0  # reads that failed since the last frame or silence
         self.frames_received = 0
         self._handlers: dict[int, tuple[FrameHandler, ...]] = {}
+        self._selectable = _selectable(bus)
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
         self._lock = threading.RLock()
         self.talking = threading.RLock()
@@ -74,6 +82,7 @@ class CanLink:
         self._closed = False
         self._heartbeats: dict[int, tuple[float, Any]] = {}
         self._checked_ns = 0  # last call of check_interrupt
+        self._taken_ns = 0  # when the last frame, or piece of one, was taken
         self.sync = Sync(clock)
         self.subscribe(SYNC, self.sync.heard)
 
@@ -245,9 +254,8 @@ class CanLink:
                 received = self._receive(slice_s)
                 if done():
                     return True
-                at_ns = self.clock.now_ns()
-                if not received or at_ns - self._checked_ns >= _SLICE_NS:
-                    self._checked_ns = at_ns
+                if not received or self._taken_ns - self._checked_ns >= _SLICE_NS:
+                    self._checked_ns = self.clock.now_ns()
                     self.clock.check_interrupt()
             self.poll()  # frames that came in time may be in the receive buffer
             return done()
@@ -259,11 +267,8 @@ class CanLink:
         if self._receive(0.0):
             return True
         try:
-            return bool(select.select([self.bus], [], [], 0.0)[0])
-        except (
-            *_GONE,
-            NotImplementedError,
-        ):  # an interface without a descriptor; a lost bus raises when it is received from
+            return self._selectable and bool(select.select([self.bus], [], [], 0.0)[0])
+        except _GONE:  # a lost bus raises when it is received from
             return False
 
     def _receive(self, timeout_s: float) -> bool:
@@ -277,14 +282,16 @@ class CanLink:
         self._failed = 0
         if message is None:
             return False
+        now_ns = self._taken_ns = self.clock.now_ns()
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             self.error_frames += message.is_error_frame
             return True
-        if is_damaged(message):
+        # cut short, too long, or with an identifier of more bits
+        if len(message.data) != message.dlc or message.dlc > 8 or message.arbitration_id > 0x7FF:
             self.damaged += 1
             return True
         self.frames_received += 1
-        now_ns, cob_id, data = self.clock.now_ns(), message.arbitration_id, bytes(message.data)
+        cob_id, data = message.arbitration_id, bytes(message.data)
         for watcher in self._any:
             watcher(now_ns, cob_id, data)
         for handler in self._handlers.get(cob_id, ()):
@@ -294,6 +301,7 @@ class CanLink:
     def _leave_out(self, error: Exception) -> None:
         """Count a failed read. Raises LinkLostError where it shows that the adapter is gone."""
         self._failed += 1
+        self._taken_ns = self.clock.now_ns()
         if self._closed or is_gone(error):
             raise self._lost("is gone", error) from error
         if self._failed >= MOST_FAILED:
