@@ -118,7 +118,9 @@ def brief(expected: str) -> str:
         return ""
     words = re.sub(r", each a number in .*|^a number(?: in .*)?$| for none$", "", expected)
     words = re.sub(r"^(?:a number|a share|[^\s\d,-]\S*?)(?:, (?=-?[\d.])| (?=>))(.*?)(?: in .*)?$", r"\1", words)
-    return re.sub(r"^(?:an?|the) |(?<=each )a |(?<=whole) number", "", words)
+    return re.sub(
+        r"\b(?:a whole number(?:, (?=-?\d)| (?=>))|an? (?=whole number))|^(?:an?|the) |(?<=each )a ", "", words
+    )
 
 
 def rows(keys: Mapping[str, tuple[str, Any]], said: Mapping[str, str]) -> list[str]:
