@@ -43,6 +43,7 @@ from drivers.errors import (
     ProtocolError,
     RemoteError,
     StateError,
+    TransportError,
 )
 from drivers.raw_parameters import Pause, Steps
 from drivers.way_out import WayOut
@@ -162,6 +163,16 @@ class Running(Generic[T]):
         if self.error is not None:
             raise self.error
         return self.result
+
+
+@dataclass(frozen=True)
+class Meant:
+    """What a write was to do, for the case that its answer is lost. reads_back, same: as of `SdoClient.write_bytes`."""
+
+    talk: Conversation
+    data: bytes
+    reads_back: bool
+    same: Same
 
 
 class SdoClient:
@@ -288,17 +299,7 @@ class SdoClient:
 
         Raises AbortError, NoAnswerError, ProtocolError, LinkLostError.
         """
-        with self.link.talking:
-            return self._read_bytes(index, subindex, block, most)
-
-    def _read_bytes(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
-        repeated = self.way_out is None or self.way_out.repeats(1, silent=self._silent)
-        try:
-            return self._upload(index, subindex, block, most)
-        except NoAnswerError:
-            if not repeated:
-                raise
-            return self._upload(index, subindex, block, most)
+        return self._run(self.reading(index, subindex, most, block=block))
 
     def write_bytes(
         self,
@@ -320,38 +321,37 @@ class SdoClient:
         """
         talk = Conversation(index, subindex)
         transfer = block_download(talk, data) if block else download(talk, data)
-        running = Running(self, talk, transfer, timeout_s)
-        with self.link.talking:
-            try:
-                _run([running])
-                running.outcome()
-            except NoAnswerError as lost:
-                self.resolve(talk, data, lost, reads_back, same)
+        meant = Meant(talk, data, reads_back, same)
+        self._run(self._written(Running(self, talk, transfer, timeout_s), meant))
 
-    def _upload(self, index: int, subindex: int, block: bool, most: int = LARGEST_ANNOUNCED) -> bytes:
-        running = self._uploading(index, subindex, block, most)
-        _run([running])
-        return self._brought(running)
+    def _run(self, steps: Steps[T]) -> T:
+        """Run an access to its end, as `CanLine.run` does for several nodes."""
+        with self.link.talking, contextlib.closing(steps):
+            while True:
+                try:
+                    step = next(steps)
+                except StopIteration as stop:
+                    result: T = stop.value
+                    return result
+                if isinstance(step, Pause):
+                    self.link.wait(step.done, step.duration_s)
+                elif isinstance(step, Running):
+                    _run_together([step])
 
-    def _uploading(self, index: int, subindex: int, block: bool, most: int) -> Running[bytes]:
-        talk = Conversation(index, subindex)
-        return Running(self, talk, block_upload(talk, most=most) if block else upload(talk, most))
-
-    def _brought(self, running: Running[bytes]) -> bytes:
+    # -- bytes, as steps: for this client alone, or side by side with the work of other nodes (`CanLine`) -----------------
+    def reading(self, index: int, subindex: int, most: int = LARGEST_ANNOUNCED, *, block: bool = False) -> Steps[bytes]:
+        """As `read_bytes`."""
+        repeated = self.way_out is None or self.way_out.repeats(1, silent=self._silent)
+        for last in (False, True) if repeated else (True,):
+            talk = Conversation(index, subindex)
+            running = Running(self, talk, block_upload(talk, most=most) if block else upload(talk, most))
+            yield from self._turn(running)
+            if last or not isinstance(running.error, NoAnswerError):
+                break
         result = running.outcome()
         if result is None:
             raise ProtocolError(f"{self.name}: SDO {running.talk.place()} ended without data")
         return result
-
-    # -- bytes, side by side with the work of other nodes ------------------------------------------------------------
-    def reading(self, index: int, subindex: int, most: int = LARGEST_ANNOUNCED) -> Steps[bytes]:
-        """As `read_bytes`, for a `CanLine`."""
-        running = self._uploading(index, subindex, False, most)
-        yield from self._turn(running)
-        if isinstance(running.error, NoAnswerError):
-            running = self._uploading(index, subindex, False, most)
-            yield from self._turn(running)
-        return self._brought(running)
 
     def writing(
         self,
@@ -363,38 +363,38 @@ class SdoClient:
         reads_back: bool = True,
         same: Same = operator.eq,
     ) -> Steps[None]:
-        """As `write_bytes`, for a `CanLine`; raises the same errors."""
+        """As `write_bytes`."""
         talk = Conversation(index, subindex)
-        running = Running(self, talk, download(talk, data), timeout_s)
+        yield from self._written(
+            Running(self, talk, download(talk, data), timeout_s), Meant(talk, data, reads_back, same)
+        )
+
+    def _written(self, running: Running[None], meant: Meant) -> Steps[None]:
         yield from self._turn(running)
-        if not isinstance(running.error, NoAnswerError):
+        if isinstance(running.error, NoAnswerError):
+            yield from self._resolved(meant, running.error)
+        else:
             running.outcome()
-            return
-        lost = running.error
-        with self._unknown(lost), self._late_answers() as late:
-            yield from self._quiet()
-        if self._settled(talk, data, lost, reads_back, late):
-            return
-        with self._unknown(lost):
-            present = yield from self.reading(index, subindex)
-        self._compare(present, data, lost, same)
 
     def _turn(self, running: Running[Any]) -> Steps[None]:
         yield from self._quiet()
         yield running
 
     # -- writes whose answer was lost ----------------------------------------------------------------------------------
-    def resolve(
-        self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, same: Same = operator.eq
-    ) -> None:
+    def resolve(self, meant: Meant, lost: NoAnswerError) -> None:
         """Find out whether a write without an answer was carried out. Returns when it was; raises AbortError, NoAnswerError."""
+        self._run(self._resolved(meant, lost))
+
+    def _resolved(self, meant: Meant, lost: NoAnswerError) -> Steps[None]:
         with self._unknown(lost), self._late_answers() as late:
-            self.quieten()
-        if self._settled(talk, data, lost, reads_back, late):
+            yield from self._quiet()
+        if self._settled(meant, lost, late):
             return
         with self._unknown(lost):
-            present = self.read_bytes(talk.index, talk.subindex)
-        self._compare(present, data, lost, same)
+            present = yield from self.reading(meant.talk.index, meant.talk.subindex)
+        if not meant.same(present, meant.data):
+            raise type(lost)(f"{lost}; it reads back {present.hex()}, not {meant.data.hex()}: not written") from lost
+        self.counters.writes_read_back += 1
 
     @contextlib.contextmanager
     def _late_answers(self) -> Iterator[list[bytes]]:
@@ -413,12 +413,11 @@ class SdoClient:
         except (RemoteError, NoAnswerError) as error:
             raise type(lost)(f"{lost}; whether it was written is unknown ({error})") from lost
 
-    def _settled(
-        self, talk: Conversation, data: bytes, lost: NoAnswerError, reads_back: bool, late: Sequence[bytes]
-    ) -> bool:
+    def _settled(self, meant: Meant, lost: NoAnswerError, late: Sequence[bytes]) -> bool:
         """Whether a late answer confirms the write; a late refusal is raised. Only an expedited write has a single answer."""
+        talk = meant.talk
         for answer in late:
-            if not 0 < len(data) <= 4:
+            if not 0 < len(meant.data) <= 4:
                 continue
             if len(answer) == 8 and answer[1:4] == talk.mux and answer[0] == 0x60:
                 self.counters.writes_confirmed_late += 1
@@ -427,14 +426,9 @@ class SdoClient:
                 talk.raise_abort(answer)
             except AbortError as error:
                 raise self.named(error) from lost
-        if not reads_back:
+        if not meant.reads_back:
             raise type(lost)(f"{lost}; whether it was done is unknown") from lost
         return False
-
-    def _compare(self, present: bytes, data: bytes, lost: NoAnswerError, same: Same) -> None:
-        if not same(present, data):
-            raise type(lost)(f"{lost}; it reads back {present.hex()}, not {data.hex()}: not written") from lost
-        self.counters.writes_read_back += 1
 
     # -- the channel -------------------------------------------------------------------------------------------------
     def quieten(self) -> None:
@@ -529,15 +523,22 @@ def wait_for_any(link: CanLink, waiting: Sequence[Awaited]) -> None:
             each.expire()
 
 
-def _run(transfers: Sequence[Running[Any]]) -> None:
-    """Run transfers of *different* nodes side by side, each until it is finished or its time is over. Raises LinkLostError."""
+def _run_together(transfers: Sequence[Running[Any]]) -> None:
+    """Run transfers of *different* nodes side by side, each until it is finished or its time is over; one that does not begin has its
+    error. Raises LinkLostError, StateError where a channel is in use."""
+    begun: list[Running[Any]] = []
     try:
         for running in transfers:
-            running.client.begin(running)
-        while waiting := [running for running in transfers if not running.finished]:
+            try:
+                running.client.begin(running)
+            except (TransportError, ProtocolError) as error:
+                running.fail(error)
+            else:
+                begun.append(running)
+        while waiting := [running for running in begun if not running.finished]:
             wait_for_any(waiting[0].client.link, waiting)
     finally:
-        for running in transfers:
+        for running in begun:
             running.client.end()
 
 
@@ -550,7 +551,7 @@ def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float 
     for client, entry in requests:
         talk = Conversation(entry.index, entry.subindex)
         transfers.append(Running(client, talk, upload(talk, entry.most_bytes), timeout_s))
-    _run(transfers)
+    _run_together(transfers)
     results: list[int | BridgeError] = []
     for running, (client, entry) in zip(transfers, requests, strict=True):
         if running.error is not None:
@@ -570,29 +571,20 @@ def write_together(requests: Sequence[tuple[SdoClient, Entry, int]]) -> list[Bri
 
     The error of each request stands in its place, as of `SdoClient.write`; None where the value was taken.
     """
-    errors: list[BridgeError | None] = [None] * len(requests)
-    writes: list[tuple[int, Running[None], bytes]] = []
-    try:
-        for number, (client, entry, value) in enumerate(requests):
-            data, talk = entry.pack(value), Conversation(entry.index, entry.subindex)
-            running = Running(client, talk, download(talk, data))
-            try:
-                client.begin(running)
-            except BridgeError as error:
-                errors[number] = error
-            else:
-                writes.append((number, running, data))
-        while waiting := [running for _, running, _ in writes if not running.finished]:
-            wait_for_any(waiting[0].client.link, waiting)
-    finally:
-        for client, *_ in requests:
-            client.end()
-    for number, running, data in writes:
+    writes: list[tuple[Running[None], Meant]] = []
+    for client, entry, value in requests:
+        data, talk = entry.pack(value), Conversation(entry.index, entry.subindex)
+        writes.append((Running(client, talk, download(talk, data)), Meant(talk, data, True, entry.same)))
+    _run_together([running for running, _ in writes])
+    errors: list[BridgeError | None] = []
+    for running, meant in writes:
         try:
-            try:
+            if isinstance(running.error, NoAnswerError):
+                running.client.resolve(meant, running.error)
+            else:
                 running.outcome()
-            except NoAnswerError as lost:
-                running.client.resolve(running.talk, data, lost, True, requests[number][1].same)
         except BridgeError as error:
-            errors[number] = error
+            errors.append(error)
+        else:
+            errors.append(None)
     return errors
