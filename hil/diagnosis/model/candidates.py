@@ -125,7 +125,8 @@ class Catalogue:
         columns = effect.bases(form, form.starts, self.campaign.columns)
         groups = columns.reshape(len(columns), len(form.starts), -1)
         best = np.max(self.table.beside(columns).reshape(groups.shape[1:]), axis=1)
-        self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
+        if not effect.static or set(form.inputs) <= {"target_mm", "direction"}:
+            self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
         kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > LEAST_BESIDE
         if not np.any(kept):
             return

@@ -28,14 +28,14 @@ Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
 
 LOWEST = np.array([-7.0, -7.0, -5.0])
-HIGHEST = np.array([7.0, 7.0, math.log(0.8)])
+HIGHEST = np.array([7.0, 7.0, 7.0])
 """Bounds of the log standard deviations of the table's two parts and of the runs' offsets, over the white noise."""
 START = np.array([1.0, 0.0, -1.5])
 LONG_MEMORY = 0.85
 """Correlation from row to row beyond which memory is an offset for most of a run, and has the prior of one."""
 LEAST_LEFT = 1e-4
 """Share of a column's squares that must be left beside everything else for it to count, in single precision."""
-RATIOS = 10.0 ** np.arange(-3.0, 2.1, 0.5)
+RATIOS = 10.0 ** np.arange(-3.0, 4.1, 0.5)
 """Variances of a random part that are tried."""
 
 
@@ -50,7 +50,7 @@ class Noise:
     def log_prior(self) -> float:
         scale = USUAL.memory if self.memory.rho <= LONG_MEMORY else USUAL.offset
         offset = math.exp(float(self.log_sd[OFFSET])) / USUAL.offset
-        return -0.5 * (self.memory.ar / scale) ** 2 - 0.5 * offset**2
+        return -0.5 * (self.memory.ar / scale) ** 2 - math.log1p(offset**2)
 
     def smoother(self) -> Noise:
         """The same with a table of a fifth of its roughness."""
@@ -179,7 +179,8 @@ class Profile:
         own = slope[: len(self.rows.group)]
         for group in range(3):
             gradient[group] = np.sum(own[self.rows.group == group])
-        gradient[OFFSET] -= (math.exp(float(log_sd[OFFSET])) / USUAL.offset) ** 2
+        offset = (math.exp(float(log_sd[OFFSET])) / USUAL.offset) ** 2
+        gradient[OFFSET] -= 2.0 * offset / (1.0 + offset)
         return value, gradient
 
     def best(self, start: Floats, steps: int = 12) -> tuple[float, Floats]:

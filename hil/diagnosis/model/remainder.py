@@ -39,6 +39,8 @@ SMOOTH, IN_A_RUN = 2.5, 5.0
 """Highest of them in a smooth block, and along the travel in one run."""
 SWITCHING = np.arange(1.0, 25.0)
 """Those of a process in time: amplitudes that fall with frequency are those of a state that switches or wanders."""
+WANDERING = np.arange(1.0, 9.0)
+"""Half periods over a run of a drift of its own."""
 TURNS = (4.0, 170.0)
 """Periods along the travel of a part that turns and changes with another column: below, the smooth blocks have it."""
 CLOSELY = 3
@@ -307,6 +309,9 @@ class Remainder:
         if self.d is not None:
             rows = thin(course[1:].T * self.d[:, None], WIDTHS[-1]).T.astype(np.float32)
             yield Block.of((time.name, "direction"), rows, self._one)
+        if 1 < self.campaign.runs <= MOST_OFFSETS:
+            drift = _drift_of_runs(time.values, self.campaign.run)
+            yield Block.of((time.name, "run"), thin(drift, WIDTHS[-1]).T.astype(np.float32), self._one)
         if place is None:
             return
         for period in np.arange(0.5, 6.1, 0.5):
@@ -390,6 +395,16 @@ class Remainder:
         columns = thin(one.columns * math.sqrt(fit.random_gain(one.columns)[1]))
         none = columns[:, :0]
         return Part(OUTSIDE, one.names, none, columns, none, -found.price)
+
+
+def _drift_of_runs(time: Floats, run: Ints) -> Floats:
+    """Functions of time that differ from run to run and wander as a random walk does, (n, runs · r)."""
+    columns = np.zeros((len(time), int(np.max(run)) + 1, len(WANDERING)))
+    for one in range(columns.shape[1]):
+        mine = run == one
+        share = (time[mine] - np.min(time[mine])) / max(float(np.ptp(time[mine])), 1e-9)
+        columns[mine, one] = np.cos(np.pi * np.outer(share, WANDERING)) / WANDERING
+    return columns.reshape(len(time), -1)
 
 
 def _pairs(functions: Singles) -> Singles:

@@ -74,7 +74,8 @@ TRAVEL = {"centre_mm": 200.0, "half_span_mm": 100.0}
 
 
 def test_what_is_offered_and_what_only_refines() -> None:
-    assert names("backlash") == [("constant", True)]
+    assert set(names("backlash")) == {("constant", True), ("changing with temperature", True)}
+    assert names("backlash", with_only("direction")) == [("constant", True)]
     assert names("backlash_position") == [(n, True) for n in ("linear", "quadratic", "shape", "fine shape")]
     assert names("cosine") == [("scale", True)]
     assert names("cosine", with_only("target_mm", "setup")) == [("scale, gone since the realignment", True)]
@@ -85,7 +86,14 @@ def test_what_is_offered_and_what_only_refines() -> None:
         ("shift and growth", False),
         ("curved and growing along the travel", False),
     ]
-    simple = ["offset", "with direction", "with position", "with direction and position", "from a stiff point"]
+    simple = [
+        "offset",
+        "with direction",
+        "with position",
+        "with direction and position",
+        "from a stiff point",
+        "in a zone",
+    ]
     refined = ["offset and with direction and position", "curved", "curved with direction"]
     assert names("load_deflection") == [*[(n, True) for n in simple], *[(n, False) for n in refined]] * 2
     assert names("load_deflection", with_only("torque_percent")) == [
@@ -373,7 +381,7 @@ STRAIGHT = {"temperature", "lagged temperature", "warming since the start", "war
 STRAIGHT_FORMS = {
     "abbe": {"tilt", "arm changing along the travel"},
     "air_index": {"air index"},
-    "backlash": {"constant"},
+    "backlash": {"constant", "changing with temperature"},
     "backlash_position": {"linear"},
     "beam_drift": {"random walk", "flicker"},
     "cosine": {"scale"},
