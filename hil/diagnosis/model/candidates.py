@@ -24,6 +24,8 @@ from hil.effects import Effect, Form
 Floats = NDArray[np.float64]
 Singles = NDArray[np.float32]
 
+SAME = 0.02
+"""Singular value, over the largest, below which two tables have absorbed the same."""
 ROUGH = 300.0
 """Variance of a table, over the white noise, that holds whatever a table can."""
 LEAST_BESIDE = 0.3
@@ -36,7 +38,7 @@ class Table:
     def __init__(self, campaign: CampaignRows) -> None:
         self._shape = SplineShape(campaign.basis)
         columns = self._shape.columns(campaign.x, campaign.d)
-        self._columns = columns.stacked
+        self._columns, self._free = columns.stacked, columns.free.shape[1]
         ridge = np.full(self._columns.shape[1], 1.0 / ROUGH)
         ridge[: columns.free.shape[1]] = 1e-9
         self._gram = self._columns.T @ self._columns
@@ -61,6 +63,16 @@ class Table:
     def held(self, columns: Floats) -> Floats:
         """Its values, (n, k)."""
         return np.asarray(self._columns @ self.coefficients(columns))
+
+    def absorbed(self, columns: Floats) -> Floats:
+        """What a table can have absorbed, however smooth: as the roughest and as a straight line has it, in orthogonal columns of
+        RMS 1, (n, m), so that each costs unit information.
+        """
+        line = self._columns[:, : self._free]
+        straight = line @ np.linalg.lstsq(line, columns, rcond=None)[0]
+        both = np.hstack([self.held(columns), straight])
+        axes, size, _ = np.linalg.svd(both / np.maximum(np.linalg.norm(both, axis=0), 1e-12), full_matrices=False)
+        return np.asarray(axes[:, size > SAME * size[0]] * math.sqrt(len(both)))
 
 
 @dataclass(frozen=True)
@@ -155,7 +167,7 @@ class Catalogue:
             return Part(effect.id, form.inputs, none, columns * math.sqrt(candidate.ratio), none, log_prior, candidate)
         held = none
         if self.rows.is_declared and not effect.static:  # the table was measured with some of it
-            held = self.table.held(columns)
+            held = self.table.absorbed(columns)
         if effect.id in self._varying:
             held = self._mean
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)

@@ -56,21 +56,43 @@ def diagnose(
         return replace(Case(records, declared, effects, seed).diagnosis(), seconds=time.perf_counter() - started)
 
 
-def rows_of(campaign: CampaignRows, declared: Model | None) -> Rows:
-    """The rows beside a table of their own, or beside a declared model, whose uncertainty counts against the noise of these rows."""
+def own_rows(campaign: CampaignRows, declared: Model | None) -> Rows:
+    """The rows beside a table of their own, without what the terms of a declared model explain."""
     if declared is None:
         return Rows(campaign)
-    known = declared.with_terms([as_far_as_seen(t, campaign.columns) if is_bounded(t) else t for t in declared.terms])
-    error = campaign.error_um - sum((t.error_um(campaign.columns) for t in known.terms), np.zeros(len(campaign)))
-    own = Rows(replace(campaign, error_um=error))
-    return Rows(campaign, Given.of(known, Fit(own, (), score(own, ())[0].noise).sigma))
+    known_um = sum((t.error_um(campaign.columns) for t in _as_seen(declared, campaign).terms), np.zeros(len(campaign)))
+    return Rows(replace(campaign, error_um=campaign.error_um - known_um))
 
 
-def searched(rows: Rows, effects: Sequence[Effect]) -> tuple[Search, Found]:
-    """The parts, and those again with the noise of each row as the first ones leave it."""
+def rows_of(campaign: CampaignRows, declared: Model | None, noise_um: float | None = None) -> Rows:
+    """The rows beside a table of their own, or beside a declared model, whose uncertainty counts against their white noise, µm: that
+    beside a table alone, where it is not known.
+    """
+    own = own_rows(campaign, declared)
+    if declared is None:
+        return own
+    usual_um = Fit(own, (), score(own, ())[0].noise).sigma if noise_um is None else noise_um
+    return Rows(campaign, Given.of(_as_seen(declared, campaign), usual_um))
+
+
+def _as_seen(declared: Model, campaign: CampaignRows) -> Model:
+    """A declared model whose bounded terms go as far as these rows do."""
+    return declared.with_terms([as_far_as_seen(t, campaign.columns) if is_bounded(t) else t for t in declared.terms])
+
+
+def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[Effect]) -> tuple[Search, Found]:
+    """The parts. Beside a declared model the search goes on from what shows beside any table."""
+    search, found = _searched(own_rows(campaign, declared), effects)
+    if declared is None:
+        return search, found
+    return _searched(rows_of(campaign, declared, found.fit.sigma), effects, found.parts)
+
+
+def _searched(rows: Rows, effects: Sequence[Effect], parts: Sequence[Part] = ()) -> tuple[Search, Found]:
+    """From some parts on; those again with the noise of each row as the first ones leave it."""
     catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
     search = Search(rows, catalogue, remainder)
-    first = search.run()
+    first = search.run([one if one.of is None else catalogue.part(one.of, one.log_prior) for one in parts])
     weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
     if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
         return search, first
@@ -94,9 +116,8 @@ class Case:
         self.records, self.declared, self.effects = records, declared, effects
         self.rows = AllRows.of(records, seed)
         self.campaign = self.rows.searched
-        self.model_rows = rows_of(self.campaign, declared)
         self.folds = Folds.of(self.rows, self.campaign.run)
-        self.search, self.found = searched(self.model_rows, effects)
+        self.search, self.found = searched(self.campaign, declared, effects)
         recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
         self.verdict = Verdict(self.search, self.found, recorded)
 
