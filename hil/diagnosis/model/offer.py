@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -14,6 +15,7 @@ from hil.diagnosis.model.force import Folds, Force, improves
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.search import Search
 from hil.diagnosis.result import Diagnosis, Figures
+from hil.effects import Term
 from hil.effects.non_parametric import CAUSE_UNKNOWN, NonParametric, smooth_form, spread_of
 from hil.effects.survey import READ_AFTER_MOTION
 
@@ -27,16 +29,18 @@ motion.
 
 
 def smooth_part(part: Part, search: Search) -> Part | None:
-    """A smooth function of a remainder's columns; None where they are more than two, or not known when a command is issued."""
+    """A smooth function of a remainder's columns, random as that is; None where they are more than two, or not known when a command is
+    issued.
+    """
     names = tuple(name for name in part.names if name != "direction")
     columns = search.rows.campaign.columns
     if not 1 <= len(names) <= 2 or not set(names) <= columns.keys() - AFTERWARDS:
         return None
     form = smooth_form(names, [spread_of(name, columns) for name in names], with_direction="direction" in part.names)
     basis = NonParametric().basis(form, (), columns)
-    return Part(
-        NonParametric.id, form.inputs, basis, basis[:, :0], basis[:, :0], 0.0, Candidate(NonParametric(), form, ())
-    )
+    ratio = search.fit(()).random_gain(basis)[1]
+    none, one = basis[:, :0], Candidate(NonParametric(), replace(form, shrunk=True), (), ratio)
+    return Part(NonParametric.id, form.inputs, none, basis * math.sqrt(ratio), none, 0.0, one)
 
 
 @dataclass(frozen=True)
@@ -64,7 +68,7 @@ class Offer:
     def _with(self, diagnosis: Diagnosis, smooth: Sequence[Part]) -> Diagnosis:
         fit = self.search.fit([*(part for part in self.force.fit.parts if not part.is_remainder), *smooth])
         terms = terms_of(fit)
-        fitted = {id(part): terms[id(part)] for part in smooth}
+        fitted = {id(part): _plain(terms[id(part)]) for part in smooth}
         live = {key: term for key, term in terms.items() if key in self.force.live}
         taken, whole = Force(fit, {**live, **fitted}), Force(fit, terms)
         left_um = taken.left_out_um(self.rows, self.folds)
@@ -87,6 +91,11 @@ class Offer:
         )
         note = f"{OPTION} adds a smooth function of {along} to the extended model, though {CAUSE_UNKNOWN}: {worth}"
         return replace(diagnosis, non_parametric=other, notes=(*diagnosis.notes, note))
+
+
+def _plain(term: Term) -> Term:
+    """A term as a model holds it, which does not know how it was fitted."""
+    return replace(term, form=replace(term.form, shrunk=False))
 
 
 def _refused(diagnosis: Diagnosis, why: str) -> Diagnosis:
