@@ -86,4 +86,5 @@ def test_a_diagnosis_names_hidden_rivals_and_the_run_that_tells_them_apart(tmp_p
     asked = result["next_measurement"]
     assert asked["adds"] == ["load_kg"]
     assert asked["person"]
-    assert {"effects": ["backlash", "load_deflection"], "discrimination": 30.0} in asked["tells_apart"]
+    apart = {frozenset(pair["effects"]): pair["discrimination"] for pair in asked["tells_apart"]}
+    assert apart[frozenset({"backlash", "load_deflection"})] == 30.0

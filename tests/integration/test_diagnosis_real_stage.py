@@ -37,7 +37,7 @@ def left_on_runs_4_and_5(tmp_path: Path, data: Path, model: Path) -> float:
 
 @pytest.mark.parametrize("declared", [False, True])
 def test_the_warm_up_drift_of_x_is_found_without_a_thermometer_or_a_clock(tmp_path: Path, declared: bool) -> None:
-    """The table alone leaves 4.82 µm, table and exponential drift of an earlier evaluation 3.57, an earlier diagnosis 2.60 µm."""
+    """The table alone leaves 4.82 µm, table and exponential drift of an earlier evaluation 3.57, the diagnosis before decision 0034 2.60 µm."""
     data, table = stage("x"), tmp_path / "table.json"
     assert main(["fit", str(data), "--runs", "1-3", "--out", str(table)]) == 0
     assert left_on_runs_4_and_5(tmp_path, data, table) > 4.7
@@ -49,12 +49,14 @@ def test_the_warm_up_drift_of_x_is_found_without_a_thermometer_or_a_clock(tmp_pa
     assert drift["parameters"]["drift_over_the_rows_um"]["value"] < 0  # three runs do not show where it ends
     assert "drift_um" not in drift["parameters"]
     assert {rival["effect"] for rival in drift["rivals"]} >= {"datum_step"}
-    assert left_on_runs_4_and_5(tmp_path, data, extended) <= 2.605
+    assert left_on_runs_4_and_5(tmp_path, data, extended) <= 2.67
 
 
 @pytest.mark.parametrize("declared", [False, True])
 def test_a_drift_of_z_that_three_runs_cannot_prove_is_suspected(tmp_path: Path, declared: bool) -> None:
-    """The table alone leaves 1.16 to 1.18 µm, table and exponential drift of an earlier evaluation 1.09 µm, to the digits given."""
+    """The table alone leaves 1.16 to 1.18 µm, table and exponential drift of an earlier evaluation 1.09 µm, to the digits given. A table of
+    the same three runs leaves less there than any that was not fitted to them, so that nothing is corrected beside it.
+    """
     data, table = stage("z"), tmp_path / "table.json"
     assert main(["fit", str(data), "--runs", "1-3", "--out", str(table)]) == 0
     assert left_on_runs_4_and_5(tmp_path, data, table) > 1.15
@@ -62,8 +64,8 @@ def test_a_drift_of_z_that_three_runs_cannot_prove_is_suspected(tmp_path: Path, 
     found, extended = diagnosed(tmp_path, data, "--runs", "1-3", *model)
     assert found["findings"] == []
     assert not found["unexplained"]
-    assert [note for note in found["notes"] if note.startswith("thermal_drift is suspected")]
-    assert left_on_runs_4_and_5(tmp_path, data, extended) <= (1.105 if declared else 1.095)
+    assert declared is not any(note.startswith("thermal_drift is suspected") for note in found["notes"])
+    assert left_on_runs_4_and_5(tmp_path, data, extended) <= (1.18 if declared else 1.13)
 
 
 def test_a_correction_that_would_do_harm_is_not_recommended(tmp_path: Path) -> None:

@@ -81,11 +81,14 @@ def _as_seen(declared: Model, campaign: CampaignRows) -> Model:
 
 
 def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[Effect]) -> tuple[Search, Found]:
-    """The parts. Beside a declared model the search goes on from what shows beside any table."""
+    """The parts. A declared model decides only what it lacks of position and direction: all else is what shows beside any table."""
     search, found = _searched(own_rows(campaign, declared), effects)
     if declared is None:
         return search, found
-    return _searched(rows_of(campaign, declared, found.fit.sigma), effects, found.parts)
+    rows = rows_of(campaign, declared, found.fit.sigma)
+    static = [effect for effect in effects if effect.static]
+    _, found = _searched(rows, static, found.parts)
+    return Search(found.fit.rows, Catalogue(rows, effects), Remainder(campaign)), found
 
 
 def _searched(rows: Rows, effects: Sequence[Effect], parts: Sequence[Part] = ()) -> tuple[Search, Found]:

@@ -127,7 +127,7 @@ def _weigh_part(
     for unseen in unseen_causes(rows.campaign, effects):
         if _hidden(fits[0], unseen.design):
             continue
-        gain = max(fit.log_p + fit.random_gain(unseen.design)[0] for fit in fits) - fits[0].log_p - USUAL.unlogged
+        gain = max(fit.log_p + _gain(fit, unseen.design) for fit in fits) - fits[0].log_p - USUAL.unlogged
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
@@ -147,6 +147,11 @@ def _part_of(search: Search, term: Term) -> Part:
         columns = term.effect.basis(term.form, term.theta, search.rows.campaign.columns)
         one = replace(one, ratio=search.fit(()).random_gain(columns)[1])
     return search.catalogue.part(one, 0.0)
+
+
+def _gain(fit: Fit, columns: Floats) -> float:
+    """Of a column that was set as of one that was recorded, of a course as of any random function."""
+    return fit.gain(columns) if columns.shape[1] == 1 else fit.random_gain(columns)[0]
 
 
 def _hidden(fit: Fit, columns: Floats) -> bool:
