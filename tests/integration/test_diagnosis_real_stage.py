@@ -37,7 +37,7 @@ def left_on_runs_4_and_5(tmp_path: Path, data: Path, model: Path) -> float:
 
 @pytest.mark.parametrize("declared", [False, True])
 def test_the_warm_up_drift_of_x_is_found_without_a_thermometer_or_a_clock(tmp_path: Path, declared: bool) -> None:
-    """The table alone leaves 4.82 µm, table and exponential drift of an earlier evaluation 3.57, the diagnosis before decision 0034 2.60 µm."""
+    """The table alone leaves 4.82 µm, table and exponential drift of an earlier evaluation 3.57, an earlier diagnosis 2.60 µm."""
     data, table = stage("x"), tmp_path / "table.json"
     assert main(["fit", str(data), "--runs", "1-3", "--out", str(table)]) == 0
     assert left_on_runs_4_and_5(tmp_path, data, table) > 4.7
@@ -54,8 +54,9 @@ def test_the_warm_up_drift_of_x_is_found_without_a_thermometer_or_a_clock(tmp_pa
 
 @pytest.mark.parametrize("declared", [False, True])
 def test_a_drift_of_z_that_three_runs_cannot_prove_is_suspected(tmp_path: Path, declared: bool) -> None:
-    """The table alone leaves 1.16 to 1.18 µm, table and exponential drift of an earlier evaluation 1.09 µm, to the digits given. A table of
-    the same three runs leaves less there than any that was not fitted to them, so that nothing is corrected beside it.
+    """The table alone leaves 1.16 to 1.18 µm, table and exponential drift of an earlier evaluation 1.09 µm, to the digits given.
+
+    A table of the same three runs leaves less on them than any that was not fitted to them: nothing is corrected beside it.
     """
     data, table = stage("z"), tmp_path / "table.json"
     assert main(["fit", str(data), "--runs", "1-3", "--out", str(table)]) == 0

@@ -91,15 +91,16 @@ def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[E
     return Search(found.fit.rows, Catalogue(rows, effects), Remainder(campaign)), found
 
 
-def _searched(rows: Rows, effects: Sequence[Effect], parts: Sequence[Part] = ()) -> tuple[Search, Found]:
-    """From some parts on; those again with the noise of each row as the first ones leave it."""
+def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Found]:
+    """The parts beside some that stay; those again with the noise of each row as the first ones leave it."""
     catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
-    search = Search(rows, catalogue, remainder)
-    first = search.run([one if one.of is None else catalogue.part(one.of, one.log_prior) for one in parts])
+    stay = [one if one.of is None else catalogue.part(one.of, one.log_prior) for one in kept]
+    search = Search(rows, catalogue, remainder, stay)
+    first = search.run(stay)
     weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
     if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
         return search, first
-    search = Search(weighted, catalogue, remainder)
+    search = Search(weighted, catalogue, remainder, stay)
     return search, search.run(first.parts)
 
 

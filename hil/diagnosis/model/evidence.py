@@ -71,7 +71,7 @@ class Candidate:
 class Part:
     """A part of the model: an effect, or a remainder (`of` is None).
 
-    names: columns that it follows; fixed (n, f): flat prior; free (n, k): g-prior; random (n, r): variance 1
+    names: columns that it follows; free (n, k): g-prior; fixed (n, f): the same, of what the table takes; random (n, r): variance 1
     """
 
     name: str
@@ -127,10 +127,10 @@ class Profile:
         white = rows.whitened(memory)
         extra = rows.white(columns.all, memory)
         q, x = rows.random.shape[1], rows.fixed.shape[1]
-        self.r, self.k = columns.r, columns.k
+        self.r, self.k = columns.r, columns.f + columns.k
         m = q + x + columns.all.shape[1]
         base = np.concatenate([np.arange(q), q + self.r + np.arange(x)])
-        own = np.concatenate([q + np.arange(self.r), q + self.r + x + np.arange(columns.f + self.k)])
+        own = np.concatenate([q + np.arange(self.r), q + self.r + x + np.arange(self.k)])
         gram = np.zeros((m + 1, m + 1))
         gram[np.ix_(base, base)] = white.gram
         gram[np.ix_(own, base)] = extra.T @ white.base
@@ -141,7 +141,7 @@ class Profile:
         gram[-1, -1] = white.yy
         gram[np.arange(m), np.arange(m)] *= 1.0 + 1e-10
         self._gram, self._random, self.p = gram, q + self.r, m - self.k
-        self.dof = rows.n - x - columns.f
+        self.dof = rows.n - x
         self._log_noise = white.log_noise
 
     def ridge(self, log_sd: Floats) -> Floats:

@@ -51,10 +51,13 @@ class Found:
 
 
 class Search:
-    """One campaign's candidates, with what was tried. Without a remainder it looks for effects alone."""
+    """One campaign's candidates, with what was tried. Without a remainder it looks for effects alone; kept: parts that stay."""
 
-    def __init__(self, rows: Rows, catalogue: Catalogue, remainder: Remainder | None) -> None:
+    def __init__(
+        self, rows: Rows, catalogue: Catalogue, remainder: Remainder | None, kept: Sequence[Part] = ()
+    ) -> None:
         self.rows, self.catalogue, self.remainder = rows, catalogue, remainder
+        self.kept = frozenset(map(id, kept))
         self._tried: dict[frozenset[int], list[Alternative]] = {}
         self._left: dict[frozenset[int], list[Alternative]] = {}
         self._scored: dict[frozenset[int], list[Scored]] = {}
@@ -207,9 +210,8 @@ class Search:
         """The parts without those that are not worth it beside the others, and with likelier ones in the place of some."""
         current = tuple(parts)
         for _ in range(3):
-            changed = next(
-                (one for part in current if (one := self._without_or_other(current, part)) is not None), None
-            )
+            others = (part for part in current if id(part) not in self.kept)
+            changed = next((one for part in others if (one := self._without_or_other(current, part)) is not None), None)
             if changed is None:
                 return current
             current = changed

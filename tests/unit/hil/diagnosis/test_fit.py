@@ -72,3 +72,27 @@ def test_a_declared_term_moves_as_far_as_its_uncertainty_allows(std: float, foll
 def test_a_model_without_a_covariance_may_follow_the_rows() -> None:
     flat = Model(PitchTable.of([0.0, 150.0, 300.0], [0.0] * 3, [0.0] * 3))
     assert diagnose(campaign(noise_um=0.3), flat).findings == ()
+
+
+@pytest.mark.parametrize("gap_um", [0.5, 3.0])
+def test_a_constant_gap_that_the_table_lacks_is_no_shape_along_the_travel(gap_um: float) -> None:
+    declared = fit_model(campaign(wavy, runs=5, seed=3))
+    found = diagnose(campaign(lambda c: wavy(c) + gap_um * c["direction"], runs=10, seed=9), declared)
+    assert [(one.effect, one.confidence > 0.9) for one in found.findings] == [("backlash", True)]
+
+
+def test_a_table_of_the_same_rows_changes_no_name() -> None:
+    """It has absorbed the growth at the mean temperature of these rows, smooth as it came out."""
+
+    def warms(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+        return {"temp_screw_c": 20.0 + 4.0 * (1.0 - np.exp(-c["time_s"] / 300.0))} | speeds(c, rng)
+
+    records = campaign(
+        lambda c: (
+            wavy(c) + 0.02 * c["direction"] * c["velocity_mm_s"] + 11e-3 * c["target_mm"] * (c["temp_screw_c"] - 20.0)
+        ),
+        sensors=warms,
+        runs=4,
+    )
+    names = [{one.effect for one in diagnose(records, declared).findings} for declared in (None, fit_model(records))]
+    assert names[0] == names[1] == {"velocity_lag", "thermal_expansion"}

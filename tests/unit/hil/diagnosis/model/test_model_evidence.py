@@ -58,24 +58,27 @@ def restricted(v: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[float, floa
 def test_the_evidence_is_that_of_whole_matrices(noise: Noise) -> None:
     scale = np.exp(0.3 * RANDOM.normal(size=N))
     rows = ROWS.with_scale(scale)
-    for parts in ([], [part(random=3)], [part(random=2), part(fixed=2)]):
+    for parts in ([], [part(random=3)], [part(random=2), part(random=2)]):
         v, x = dense(noise, parts, scale)
         expected = restricted(v, x, ROWS.y)[0] + noise.log_prior
         assert Profile(rows, Columns.of(parts, N), noise.memory).value(noise.log_sd)[0] == pytest.approx(expected)
 
 
+@pytest.mark.parametrize("absorbed", [0, 1])
 @pytest.mark.parametrize("noise", NOISES)
-def test_columns_with_a_g_prior_have_the_bayes_factor_of_whole_matrices(noise: Noise) -> None:
-    effect = part(free=2)
+def test_columns_with_a_g_prior_have_the_bayes_factor_of_whole_matrices(noise: Noise, absorbed: int) -> None:
+    """Those that a declared table has absorbed as well."""
+    effect = part(free=2 - absorbed, fixed=absorbed)
+    columns = np.hstack([effect.free, effect.fixed])
     v, x = dense(noise, [], np.ones(N))
     without, squares = restricted(v, x, ROWS.y)
-    left = restricted(v, np.hstack([x, effect.free]), ROWS.y)[1] / squares
+    left = restricted(v, np.hstack([x, columns]), ROWS.y)[1] / squares
     g, dof = max(N, 10.0 / left), N - x.shape[1]
     # Liang et al., JASA 103 (2008), eq. 6: (1 + g)^((n - 1 - k) / 2) (1 + g (1 - R²))^(-(n - 1) / 2)
     factor = 0.5 * (dof - 2) * math.log(1 + g) - 0.5 * dof * math.log(1 + g * left)
     value = Profile(ROWS, Columns.of([effect], N), noise.memory).value(noise.log_sd)[0]
     assert value == pytest.approx(without + factor + noise.log_prior)
-    assert Fit(ROWS, [], noise).gain(effect.free) == pytest.approx(factor, rel=1e-5)
+    assert Fit(ROWS, [], noise).gain(columns) == pytest.approx(factor, rel=1e-5)
 
 
 @pytest.mark.parametrize("noise", NOISES)
