@@ -84,36 +84,14 @@ class DriveIdentity:
 
 @dataclass(frozen=True)
 class WireTime:
-    """The cost of accesses: frames and bits on the bus (Modbus: characters as bits), seconds the bus is busy, number of answers.
-
-    least and most: without stuffing and with the worst stuffing; likely: with the values that are known beforehand.
-    """
+    """The cost of accesses: frames, seconds for which they keep the bus busy at most, answers among the frames."""
 
     frames: int = 0
-    bits_least: int = 0
-    bits_likely: int = 0
-    bits_most: int = 0
-    seconds_least: float = 0.0
-    seconds_likely: float = 0.0
-    seconds_most: float = 0.0
+    seconds: float = 0.0
     answers: int = 0
 
     def __add__(self, other: WireTime) -> WireTime:
-        return WireTime(
-            *(
-                getattr(self, name) + getattr(other, name)
-                for name in (
-                    "frames",
-                    "bits_least",
-                    "bits_likely",
-                    "bits_most",
-                    "seconds_least",
-                    "seconds_likely",
-                    "seconds_most",
-                    "answers",
-                )
-            )
-        )
+        return WireTime(self.frames + other.frames, self.seconds + other.seconds, self.answers + other.answers)
 
 
 class Line(ABC):

@@ -12,7 +12,7 @@ from enum import Enum
 from drivers.canopen import objects
 from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import PdoSpec
-from drivers.canopen.wire_time import frame, frames
+from drivers.canopen.wire_time import frame_bits
 from drivers.errors import InputError
 
 RESERVED = (
@@ -77,10 +77,9 @@ class Cycle:
 
 @dataclass(frozen=True)
 class Load:
-    """Load of a cycle: share of the bus without and with the worst stuffing, and the shortest period that fits, µs."""
+    """Load of a cycle: share of the bus with the worst stuffing, and the shortest period that fits, µs."""
 
-    least: float
-    most: float
+    share: float
     shortest_period_us: float
 
 
@@ -89,9 +88,8 @@ def predict(nodes: Mapping[int, Sequence[PdoSpec]], cycle: Cycle) -> Load:
     sizes = [0, *cycle.other_frames]
     for specs in nodes.values():
         sizes += [-(-spec.bits // 8) for spec in specs if spec.kind <= LAST_SYNCHRONOUS]
-    least_ns, most_ns = frames(sizes).time_ns(cycle.bitrate)
-    period_ns = cycle.period_us * 1000
-    return Load(least_ns / period_ns, most_ns / period_ns, most_ns / 1000)
+    shortest_us = sum(map(frame_bits, sizes)) * 1e6 / cycle.bitrate
+    return Load(shortest_us / cycle.period_us, shortest_us)
 
 
 def lint(
@@ -248,16 +246,16 @@ def _clashes(nodes: Mapping[int, Sequence[PdoSpec]]) -> list[Finding]:
 def _fits(nodes: Mapping[int, Sequence[PdoSpec]], cycle: Cycle) -> list[Finding]:
     load = predict(nodes, cycle)
     what = f"SYNC and PDOs need {load.shortest_period_us:.0f} µs at worst of a cycle of {cycle.period_us:g} µs"
-    if load.most > 1.0:
+    if load.share > 1.0:
         return [_error("cycle", f"{what}: the cycle does not fit")]
-    if load.most > cycle.budget:
+    if load.share > cycle.budget:
         return [
             _error(
-                "load", f"{what}: {100 * load.most:.0f} % of the bus, at most {100 * cycle.budget:.0f} % are allowed"
+                "load", f"{what}: {100 * load.share:.0f} % of the bus, at most {100 * cycle.budget:.0f} % are allowed"
             )
         ]
     spare_us = cycle.period_us - load.shortest_period_us
-    one_us = frame(8).most * 1e6 / cycle.bitrate
+    one_us = frame_bits(8) * 1e6 / cycle.bitrate
     if spare_us < 2 * one_us:
         return [_warning("no-room", f"{what}: no room is left for an SDO request and its answer")]
     return []

@@ -18,7 +18,7 @@ from drivers.canopen.not_parameters import refusal
 from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import ON_COMMAND, SAVE
 from drivers.canopen.pdo import Pdo
-from drivers.canopen.sdo_cost import Frame, download_frames, upload_frames, wire_time
+from drivers.canopen.sdo_cost import transfer
 from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
@@ -212,13 +212,12 @@ class CanOpenRawParameters(RawParameters):
         return [(f"{low[:4]}h{low[4:]}", f"{high[:4]}h{high[4:]}") for low, high in _PAIRS]
 
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
-        frames: list[Frame] = []
-        for spelled, accesses in ((upload_frames, reads), (download_frames, writes)):
-            for address, data in accesses:
-                parts = Block.unpack(data).items if pdo_at(address) else ((self._keys[address].entry.key, data),)
-                for (index, subindex), value in parts:
-                    frames += spelled(index, subindex, value)
-        return wire_time(self.node_id, frames, self.bitrate)
+        total = WireTime()
+        for address, data in (*reads, *writes):
+            parts = [part for _, part in Block.unpack(data).items] if pdo_at(address) else [data]
+            for part in parts:
+                total = total + transfer(len(part), self.bitrate)
+        return total
 
     # -- transfers -------------------------------------------------------------------------------------------------------
     def _upload(self, entry: Entry) -> Steps[bytes]:

@@ -156,19 +156,15 @@ class ModbusRawParameters(RawParameters):
         return None
 
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
-        """By the groups in which it would be done; characters count as their bits on the line."""
+        """By the groups in which it would be done."""
         endpoint = self.line.link.endpoint
-        serial = isinstance(endpoint, RtuEndpoint)
         cost = WireCost.rtu(endpoint.baud, 0.0) if isinstance(endpoint, RtuEndpoint) else WireCost.tcp(0.0)
         seconds = [cost.read_s(each.table, each.span.count) for each in self._plan([address for address, _ in reads])]
         places = [self.map.registers[address].place for address, _ in writes]
         for group in group_writes(places, max_registers=self.map.registers.max_write):
             table, first = places[group[0]]
             seconds.append(cost.write_s(table, places[group[-1]][1].end - first.start))
-        total = sum(seconds)
-        busy = total - len(seconds) * cost.fixed_s
-        bits = round(busy / cost.per_byte_s * (11 if serial else 8))
-        return WireTime(2 * len(seconds), bits, bits, bits, total, total, total, len(seconds))
+        return WireTime(2 * len(seconds), sum(seconds), len(seconds))
 
     # -- on the wire -----------------------------------------------------------------------------------------------------
     def _plan(self, names: Sequence[str]) -> Sequence[ReadRequest]:

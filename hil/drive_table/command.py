@@ -246,9 +246,7 @@ def _download(args: argparse.Namespace) -> int:
         print(f"axis {axis.name}: would write {len(made.raw.plus)} points to the drive and read them back")
         busy = predicted_table_s(axis, made.raw)
         if busy is not None:
-            print(
-                f"would keep a free bus busy for {busy[0] * 1000:.1f} to {busy[1] * 1000:.1f} ms, without the drive's own delays"
-            )
+            print(f"would keep a free bus busy for at most {busy * 1000:.1f} ms, without the drive's own delays")
         _print_plan(args, axis)
         return 0
     say, note = _say, axis.store.directory / NOTE

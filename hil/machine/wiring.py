@@ -146,16 +146,15 @@ def described_table(axis: DriveAxis) -> TableDescription | None:
     return load_table_map(config.correction_table).description
 
 
-def predicted_table_s(axis: DriveAxis, table: RawTable) -> tuple[float, float] | None:
-    """Bus time for writing a table and reading it back on a free CAN bus, least and most, s; None on another wire."""
+def predicted_table_s(axis: DriveAxis, table: RawTable) -> float | None:
+    """Most bus time for writing a table and reading it back on a free CAN bus, s; None on another wire."""
     config = axis.drive
     if not config.correction_table or config.face == "virtual":
         return None
-    from drivers.canopen.sdo_cost import table_bits  # noqa: PLC0415  (a verb loads the wire its axis file names)
+    from drivers.canopen.sdo_cost import table_s  # noqa: PLC0415  (a verb loads the wire its axis file names)
     from drivers.canopen.table_map import load_table_map  # noqa: PLC0415  (as above)
 
-    bits = table_bits(load_table_map(config.correction_table), table)
-    return bits.least / config.bitrate, bits.most / config.bitrate
+    return table_s(load_table_map(config.correction_table), table, config.bitrate)
 
 
 def hardware_drive(axis: DriveAxis, clock: Clock, stack: ExitStack, links: Links | None = None) -> ServoDrive:

@@ -147,7 +147,7 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
 def _answer_s(comparison: Comparison, shown: Mapping[str, bytes]) -> float:
     """The drive's own time for an answer, s: median of the answer times less their bus time."""
     shares = sorted(
-        (row.read_s - comparison.drive.cost([(row.address, shown[row.address])], []).seconds_likely)
+        (row.read_s - comparison.drive.cost([(row.address, shown[row.address])], []).seconds)
         for row in comparison.rows
         if row.read_s is not None
     )

@@ -29,23 +29,15 @@ class Prediction:
 
 
 def predict(drive: RawParameters, wanted: Sequence[Wanted], differing: Sequence[str] | None = None) -> Prediction:
-    """Prediction of a download. differing: addresses to be written, None for all.
-
-    The present values are unknown; the wanted ones are taken for them, which affects only the number of stuff bits.
-    """
+    """Prediction of a download. differing: addresses to be written, None for all."""
     every = [(each.address, each.data) for each in wanted]
     written = [pair for pair in every if differing is None or pair[0] in differing]
     return Prediction(drive.name, drive.cost(every, []), drive.cost(written, written))
 
 
-def seconds_together(costs: Sequence[WireTime], answer_s: float = 0.0) -> tuple[float, float, float]:
-    """(least, likely, most) duration, s, for drives served side by side on one bus. answer_s: a drive's own time for one answer, s.
+def seconds_together(costs: Sequence[WireTime], answer_s: float = 0.0) -> float:
+    """Duration at most, s, for drives served side by side on one bus. answer_s: a drive's own time for one answer, s.
 
     It is the longer of the bus time of all drives and the bus and answer time of the slowest drive.
     """
-    found = []
-    for name in ("seconds_least", "seconds_likely", "seconds_most"):
-        bus = sum(getattr(cost, name) for cost in costs)
-        slowest = max((getattr(cost, name) + answer_s * cost.answers for cost in costs), default=0.0)
-        found.append(max(bus, slowest))
-    return found[0], found[1], found[2]
+    return max(sum(cost.seconds for cost in costs), *(cost.seconds + answer_s * cost.answers for cost in costs), 0.0)

@@ -100,7 +100,7 @@ def test_time_on_the_line_is_as_predicted(forty: Path, tmp_path: Path) -> None:
     drive = connect(forty, line)
     wanted, _ = match_set(drive, NEW)
     predicted = predict(drive, wanted).whole
-    seconds = predicted.seconds_likely + predicted.answers * line.turnaround_s
+    seconds = predicted.seconds + predicted.answers * line.turnaround_s
     start_ns = line.clock.now_ns()
     report = download([Target(drive, NEW, Journal(tmp_path))])[0]
     took_s = (line.clock.now_ns() - start_ns) * 1e-9

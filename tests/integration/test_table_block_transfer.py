@@ -16,7 +16,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.node import Node
 from drivers.canopen.objects import DataType, Entry
-from drivers.canopen.sdo_cost import table_bits
+from drivers.canopen.sdo_cost import table_s
 from drivers.canopen.table_map import load_table_map
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable
@@ -58,9 +58,8 @@ def test_a_table_of_8_kb_by_block_transfer_at_1_mbit_s(record_property: pytest.R
         record_property(what, f"{rate:.1f} kB/s, {rate / LIMIT_KB_S:.2f} of the limit")
         assert 0.85 * LIMIT_KB_S <= rate <= 7e3 / 111, what  # never faster than frames without a stuff bit
     assert held.pack(wanted) == bench.slave.dictionary.raw((DOMAIN, 0))
-    bits = table_bits(held.map, wanted)
-    assert bits.least <= (read_ns - start_ns) / 1000 <= bits.most  # a µs each
-    assert bits.most < 1.3 * bits.least
+    predicted_ns = 1e9 * table_s(held.map, wanted, 1_000_000)
+    assert 0.8 * predicted_ns < read_ns - start_ns <= predicted_ns
 
 
 def test_what_an_array_takes_is_predicted_to_the_frame() -> None:
@@ -74,9 +73,9 @@ def test_what_an_array_takes_is_predicted_to_the_frame() -> None:
         start_ns, frames = bench.clock.now_ns(), bench.wire.frames
         held.write(wanted)
         assert held.read() == wanted
-    bits = table_bits(held.map, wanted)
-    assert bits.least == (bench.wire.frames - frames) * (47 + 64)
-    assert bits.least <= (bench.clock.now_ns() - start_ns) / 1000 <= bits.most
+    predicted_s = table_s(held.map, wanted, 1_000_000)
+    assert predicted_s == pytest.approx((bench.wire.frames - frames) * 135e-6)
+    assert (bench.clock.now_ns() - start_ns) * 1e-9 <= predicted_s
 
 
 @pytest.fixture

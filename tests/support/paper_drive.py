@@ -123,7 +123,7 @@ class PaperDrive(RawParameters):
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
         """A frame of 100 to 120 bits and 0.1 to 0.12 ms for each read, two of them for each write."""
         n = len(reads) + 2 * len(writes)
-        return WireTime(n, 100 * n, 110 * n, 120 * n, 1e-4 * n, 1.1e-4 * n, 1.2e-4 * n, len(reads) + len(writes))
+        return WireTime(n, 1.2e-4 * n, len(reads) + len(writes))
 
     def identify(self) -> Steps[DriveIdentity]:
         yield None

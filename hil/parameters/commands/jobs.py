@@ -422,12 +422,9 @@ def _print_slow(report: JobReport) -> None:
 
 
 def print_costs(who: str, what: str, costs: Sequence[WireTime], answer_s: float = 0.0) -> None:
-    """Print frames, bits and duration of accesses. answer_s: the drive's own time for one answer, s."""
-    total = sum(costs, WireTime())
-    least, likely, most = seconds_together(costs, answer_s)
+    """Print the duration of accesses. answer_s: the drive's own time for one answer, s."""
     print(
-        f"{who}: {what} takes {total.frames} frames, {total.bits_likely} bits ({total.bits_least} to {total.bits_most}, by"
-        f" bit stuffing): {1e3 * likely:.1f} ms ({1e3 * least:.1f} to {1e3 * most:.1f})"
+        f"{who}: {what} takes at most {1e3 * seconds_together(costs, answer_s):.1f} ms on the bus"
         + (
             f", with {1e3 * answer_s:.2f} ms that the drive takes for each answer"
             if answer_s

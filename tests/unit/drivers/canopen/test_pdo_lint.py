@@ -145,7 +145,7 @@ def test_published_limits_fit(axes: int, period_us: int) -> None:
     nodes = {node_id: _streaming(node_id) for node_id in range(1, axes + 1)}
     load = predict(nodes, Cycle(period_us, 1_000_000))
     assert load.shortest_period_us == 55 + 230 * axes
-    assert load.most <= 0.7
+    assert load.share <= 0.7
     assert lint(nodes, cycle=Cycle(period_us, 1_000_000)) == []
 
 
