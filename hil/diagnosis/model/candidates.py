@@ -28,8 +28,6 @@ SAME = 0.02
 """Singular value, over the largest, below which two tables have absorbed the same."""
 ROUGH = 300.0
 """Variance of a table, over the white noise, that holds whatever a table can."""
-LEAST_BESIDE = 0.3
-"""Share of the norm of a function of position and direction that such a table must leave, for it to be told from the table."""
 
 
 class Table:
@@ -139,7 +137,7 @@ class Catalogue:
         best = np.max(self.table.beside(columns).reshape(groups.shape[1:]), axis=1)
         if not effect.static or set(form.inputs) <= {"target_mm", "direction"}:
             self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
-        kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > LEAST_BESIDE
+        kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > USUAL.beside
         if not np.any(kept):
             return
         scanned = groups

@@ -39,8 +39,6 @@ SATURATED = "the table takes every degree of freedom of these rows, so nothing c
 LEAST_DOF = 4
 BLIND = 0.01
 """Share of an effect left beside the table below which the campaign cannot show it."""
-SURE = 0.9
-"""Posterior of an effect by its column from which its correction goes beyond what was seen."""
 
 
 def diagnose(
@@ -186,7 +184,7 @@ class Case:
         sure = {f.effect: min(f.confidence, f.follows[0][1] if f.follows else 1.0) for f in self.findings}
         return {
             key: as_far_as_seen(term, self.rows.columns)
-            if follows_a_temperature(term.form) and sure.get(term.effect.id, 0.0) < SURE
+            if follows_a_temperature(term.form) and sure.get(term.effect.id, 0.0) < USUAL.sure
             else term
             for key, term in live.items()
         }

@@ -14,10 +14,14 @@ class Policy:
     temperature: divisor of log odds before they become a confidence, since no form is exactly right
     unlogged: prior log odds against a cause through a column that was not recorded
     form: share of an effect's RMS below which a remainder in its own columns is the error of its form
-    memory, offset: scales of the half-normal priors on noise with memory and on the offset of a run, in white noise
+    memory, offset: scales of the half-normal prior on noise with memory and of the half-Cauchy one on offsets of runs, in white noise
     pseudo_rows: rows of average noise that each group of rows has before its own scale is taken
     tail: degrees of freedom of Student's t where the tails are heavy
-    few: share of the rows on which no effect may rest alone
+    few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away
+    far: robust standard deviations from which a row is far off
+    largest: RMS of an effect over that of the errors, from which another one would have to undo it
+    beside: share of a function of position and direction that a rough table must leave, for it to be told from the table
+    sure: posterior of an effect by its column from which its correction goes beyond what was seen
     """
 
     named: float = 5.0
@@ -30,6 +34,11 @@ class Policy:
     pseudo_rows: float = 10.0
     tail: float = 5.0
     few: float = 0.01
+    outlier: float = 6.0
+    far: float = 2.5
+    largest: float = 2.0
+    beside: float = 0.3
+    sure: float = 0.9
 
 
 USUAL = Policy()

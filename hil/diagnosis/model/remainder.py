@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.candidates import Ranked
 from hil.diagnosis.model.evidence import LEAST_LEFT, Fit, Part
+from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.result import OUTSIDE
 from hil.effects.history import BRANCH, LONG_STROKE_MM, time_column
 
@@ -53,8 +54,8 @@ WIDTHS = (8, 16, 40)
 """Columns of a block, at most."""
 THIN = 3e-3
 """Variance along an axis of a block, over its largest, below which it is left out."""
-FAR, LEAST_HIT = 2.5, 8
-"""Robust standard deviations from which a row is far off, and the fewest such rows that can follow anything."""
+LEAST_HIT = 8
+"""Fewest rows far off that can follow anything: a function of the travel has as many columns."""
 DRAWN = 60
 """Times that their signs and places are drawn anew."""
 LONGEST_CYCLE = 12
@@ -377,7 +378,7 @@ class Remainder:
         """
         place = self.axes.get("target_mm")
         away = np.abs(fit.residual - np.median(fit.residual))
-        far = away > FAR * 1.4826 * float(np.median(away))
+        far = away > USUAL.far * 1.4826 * float(np.median(away))
         if place is None or not LEAST_HIT <= np.sum(far) <= len(far) / 4:
             return
         columns = thin(place.smooth() * far[:, None], WIDTHS[0])

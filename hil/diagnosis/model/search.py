@@ -21,12 +21,7 @@ NEAR = 12.0
 """Log odds below the best candidate down to which others are followed."""
 SAME_NOISE = 4.0
 """Log odds below the best memory from which another one is no longer asked."""
-EXCHANGE = 1.0
-"""Log odds that an exchange must gain, so that it ends."""
 FOLLOWED, REFINED = 6, 8
-LARGEST = 2.0
-"""RMS of an effect over that of the errors, from which another one would have to undo it."""
-IMPOSSIBLE = 1e3
 
 
 @dataclass(frozen=True)
@@ -163,8 +158,10 @@ class Search:
             return 2.0 * USUAL.richer
         fit = Fit(self.rows, [*parts, part], noise)
         effects = [fit.course_um(one) for one in fit.parts if not one.is_remainder]
-        if max(float(np.std(course)) for course in effects) > LARGEST * float(np.std(self.rows.campaign.error_um)):
-            return IMPOSSIBLE
+        if max(float(np.std(course)) for course in effects) > USUAL.largest * float(
+            np.std(self.rows.campaign.error_um)
+        ):
+            return math.inf
         if type(one.effect).implausible is Effect.implausible:
             return 0.0
         at = fit.where(part, "free")
@@ -183,7 +180,7 @@ class Search:
         fit = Fit(self.rows, [*parts, part], one.noise)
         course = fit.course_um(part)
         away = np.abs(course - np.median(course))
-        if float(np.max(away)) > OUTLIER * fit.sigma:
+        if float(np.max(away)) > USUAL.outlier * fit.sigma:
             return False
         scale = self.rows.scale.copy()
         scale[np.argsort(-away)[: max(3, math.ceil(USUAL.few * len(course)))]] *= 1e3
@@ -222,11 +219,11 @@ class Search:
         worth = self.scored(parts)[0].log_p
         if worth - self.scored(others)[0].log_p < USUAL.named:
             return others
-        together = self._effects_instead(others, part, worth + EXCHANGE) if _is_flexible(part) else None
+        together = self._effects_instead(others, part, worth) if _is_flexible(part) else None
         if together is not None:
             return together
         for best in self.alternatives(others)[:2]:
-            if best.log_p > worth + EXCHANGE and not self.rests_on_few(others, best):
+            if best.log_p > worth and not self.rests_on_few(others, best):
                 return (*others, best.part)
         return None
 
@@ -245,10 +242,6 @@ class Search:
                 if part not in trial and self.scored(trial)[0].log_p > worth:
                     return trial
         return None
-
-
-OUTLIER = 6.0
-"""White noise up to which rows far off may be noise."""
 
 
 def _is_flexible(part: Part) -> bool:

@@ -86,7 +86,7 @@ class Verdict:
             size * relative,
             peak,
             tuple(more),
-            self.search.catalogue.beside.get(name, 1.0) > 0.3,
+            self.search.catalogue.beside.get(name, 1.0) > USUAL.beside,
             () if more else self._follows(parts[0], term),
             not more and _is_vague(term, size, self.campaign),
         )
