@@ -7,8 +7,10 @@ with the file, the line, the value and what was expected. The example in hil/exa
 from __future__ import annotations
 
 import itertools
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -309,17 +311,28 @@ def _purpose_of(correction: CorrectionConfig) -> dict[str, Any]:
     return form
 
 
+_GRID_ONLY = {one.name for one in fields(_Grid)} - {one.name for one in fields(MeasurementConfig)}
+Given = Mapping[str, Mapping[str, Any]]
+"""Values by section that take the place of a file's."""
+
+
 def load_axis(path: str | Path) -> AxisConfig:
     """Read an axis file. Raises InputError, one line, naming file, line, value and what was expected."""
     return _axis(Document.read(path))
 
 
-def load_drive_axis(path: str | Path) -> DriveAxis:
+def load_drive_axis(path: str | Path, given: Given = MappingProxyType({})) -> DriveAxis:
     """Read an axis file that may end with its drive: without [instrument] and [measurement], nothing is measured along the axis.
 
-    Raises InputError as `load_axis`.
+    given: checked as the file's own. Raises InputError as `load_axis`.
     """
     document = Document.read(path)
+    for section, values in given.items():
+        table = document.values.setdefault(section, {})
+        if "targets_mm" in values:  # in place of a grid too
+            for name in _GRID_ONLY:
+                table.pop(name, None)
+        table.update(values)
     if "instrument" in document or "measurement" in document:
         return _axis(document)
     axis = DriveAxis(**_moving(document))

@@ -2,21 +2,18 @@
 
 import sys
 
-import hil.commissioning as hil
+import hil
 
 
 def main(path: str) -> int:
-    axis = hil.load_drive_axis(path)
-    how = axis.backlash or hil.default_backlash(axis.path, axis.limits, axis.scaling, axis.drive.backend)
-    with hil.connected_drive(axis) as drive:
-        result = hil.measure_backlash(drive, how, hil.backlash_settings(axis, how, drive))
-    for one in result.reversals:
+    with hil.open(path) as axis:
+        found = axis.backlash()
+    for one in found.raw.result.reversals:
         fitted = "nothing" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
         print(f"into {one.trace.direction:+d}: {fitted}; by the four-sample rule {one.published_um} µm")
-    found = hil.fitted_lost_motion(result.reversals)
-    if found is None:
+    if found.lost_motion_um is None or found.u95_um is None:
         return 1
-    print(f"lost motion {found.mean_um:.1f} ± {found.u95_um:.1f} µm (95 %)")
+    print(f"lost motion {found.lost_motion_um:.1f} ± {found.u95_um:.1f} µm (95 %)")
     return 0
 
 

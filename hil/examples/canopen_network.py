@@ -4,7 +4,8 @@ import sys
 
 import canopen
 
-from hil.commissioning import connected_drive, load_drive_axis
+from hil.axis.axis_file import load_drive_axis
+from hil.machine.wiring import connected_drive
 
 axis = load_drive_axis(sys.argv[1])
 with canopen.Network() as network:

@@ -34,7 +34,7 @@ from hil.lost_motion.procedure import (
     verdict,
 )
 from hil.lost_motion.published import BesidePublished, beside_published
-from hil.machine.computing import Computing, at_once, watched
+from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, Point, silent
 from hil.machine.wiring import Machine
 from hil.records.journal import Campaign
@@ -134,7 +134,7 @@ def measuring_job(
         machine = place.machine()
         with zero.applied(machine.session):
             measured = run_lost_motion(
-                machine, how, present, _named(place.listener), seed=seed, resume=resume, computing=watched
+                machine, how, present, _named(place.listener), seed=seed, resume=resume, computing=place.computing
             )
         return measured
 

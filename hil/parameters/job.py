@@ -171,9 +171,10 @@ _STAMP, _BACKUP = "%Y%m%d-%H%M%S", ".params.toml"
 
 
 # -- for the desk: one axis ----------------------------------------------------------------------------------------------
-def backup_job(axis: DriveAxis) -> Job:
-    """Job that returns a BackedUp: a new file in the axis's folder, named by the time. Its work raises StateError on failure."""
-    path = new_backup_path(axis)
+def backup_job(axis: DriveAxis, path: Path | None = None) -> Job:
+    """Job that returns a BackedUp. path: None, a new file in the axis's folder, named by the time. Its work raises StateError on
+    failure."""
+    path = path or new_backup_path(axis)
 
     def work(place: Workplace) -> BackedUp:
         (backup,) = back_up_axes([axis], [path], progress=_progress_events(place), waiting=place.waiting)

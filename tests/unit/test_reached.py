@@ -1,4 +1,4 @@
-"""Every function of the product is reached by a verb, a page, a script of `hil/examples` or a public name of `hil.commissioning`.
+"""Every function of the product is reached by a verb, a page, a script of `hil/examples` or a public name of `hil`.
 
 By names: a function is reached where code that is reached says its name, a method where its class is reached as well. What only tests
 call is found so; a function that shares its name with another may be missed. `python tests/unit/test_reached.py` prints the list.
@@ -42,6 +42,7 @@ EXCEPTIONS = {
     "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
     "hil.correction.sealed.sealing.read_sealed": "the face of the sealed format",
     "hil.correction.sealed.sealing.write_sealed": "the face of the sealed format",
+    "hil.__getattr__": "Python calls it",
     "hil.diagnosis.__getattr__": "Python calls it",
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",
     "sim_backends.modbus_drive.ModbusServer.drop_connections": "a fault of a server that tests play",
@@ -109,9 +110,9 @@ def product(root: Path) -> Iterator[Part]:
 
 
 def public_names(root: Path) -> set[str]:
-    """What scripts call: the names of `hil.commissioning`."""
+    """What scripts call: the names of `hil`."""
     imports = [
-        node for node in ast.parse((root / "hil/commissioning.py").read_text()).body if isinstance(node, ast.ImportFrom)
+        node for node in ast.parse((root / "hil/script/names.py").read_text()).body if isinstance(node, ast.ImportFrom)
     ]
     return {alias.name for node in imports for alias in node.names}
 

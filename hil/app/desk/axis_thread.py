@@ -23,6 +23,7 @@ from hil.app.error_log import ERRORS, ErrorLog
 from hil.app.jobs.job import Job, Question, Workplace
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.correction.store import SealedStore
+from hil.machine.computing import watched
 from hil.machine.session import AxisSession
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
@@ -287,7 +288,9 @@ class AxisThread:
             return self.asking.ask(question, clock, clock.sleep_s if session is None else session.watch)
 
         heard = asked.log
-        return Workplace(self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask)
+        return Workplace(
+            self.axis, drive, session, heard.hear, heard.tell, asked.store, self._pacing, watch, ask, watched
+        )
 
     def _carried_out(self, work: Callable[[], object], asked: JobRequest) -> Callable[[], None]:
         """Run a job's work; returns what records how it ended. `one_job` has put the axis back before."""

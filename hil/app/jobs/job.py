@@ -12,6 +12,7 @@ from drivers.errors import CapabilityError
 from hil.app.jobs.plan import Plan
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.correction.store import SealedStore
+from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener
 from hil.machine.session import AxisSession
 from hil.machine.wiring import Machine
@@ -57,6 +58,7 @@ class Workplace:
     waiting: for a job that connects by itself: its clocks must wait through this, so that it can be stopped
     watch: for such a job: watch(axis name, drive, session or None) shows the samples of that axis on its desk
     ask: asks the operator
+    computing: how long computations are run
     """
 
     axis: DriveAxis
@@ -68,6 +70,7 @@ class Workplace:
     waiting: Waiting
     watch: Watch
     ask: Ask = no_answer
+    computing: Computing = at_once
 
     @property
     def drive(self) -> ServoDrive:

@@ -14,12 +14,11 @@ import nicegui
 import socketio  # type: ignore[import-untyped]
 from fastapi.responses import HTMLResponse
 
-import hil
 from hil.app.error_log import ErrorLog
 from hil.app.panel.texts import Texts
 
 STATIC = "/hil-static"
-_OURS = Path(str(hil.__file__)).parent
+_OURS = Path(__file__).parents[2]
 _LOG = logging.getLogger("hil.panel")
 _WIRE = tuple(Path(str(one.__file__)).parent for one in (engineio, socketio, nicegui))
 """Packages that read what browsers send. An error that is raised in one of them is of the frame, not of this program."""

@@ -54,12 +54,12 @@ def open_store(args: argparse.Namespace, axis: AxisConfig, *, writing: bool) -> 
         else None
     )
     own = own_passwords(args.table_password, TABLES, "--table-password")
-    anew = writing and not _has_tables(axis)
+    anew = writing and not has_tables(axis)
     reading = password(args.password_file, READING, "reading password", os.environ, usual=usual, new=anew)
     return SealedStore.of(axis, reading, key, own=own)
 
 
-def _has_tables(axis: AxisConfig) -> bool:
+def has_tables(axis: AxisConfig) -> bool:
     """Whether a password for this axis's tables was chosen already; True where that cannot be read, which opening says."""
     try:
         return bound_tables(axis) is not None

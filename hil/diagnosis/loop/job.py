@@ -22,7 +22,6 @@ from hil.diagnosis.loop.procedure import Loop, Turn, Turning, close_loop
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.stored import STORED
 from hil.figures.history import purpose_of_replay
-from hil.machine.computing import watched
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.events import Listener, silent
 from hil.machine.wiring import Machine
@@ -118,7 +117,7 @@ def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: 
 
     def work(place: Workplace) -> Looped:
         machine, person = place.machine(), Person(place)
-        how = replace(turning, computing=watched, consent=turning.consent or person.consents)
+        how = replace(turning, computing=place.computing, consent=turning.consent or person.consents)
         session = machine.session
         before, session.conditions = session.conditions, person.conditions(axis, session.conditions)
         try:
@@ -126,7 +125,7 @@ def loop_job(axis: AxisConfig, turning: Turning, *, resume: bool = False, zero: 
                 loop = run_loop(machine, place.opened_store(), how, place.listener, resume=resume)
         finally:
             session.conditions = before
-        return Looped(loop_stages(loop), loop_is_good(loop))
+        return Looped(loop_stages(loop), loop_is_good(loop), loop)
 
     plan = zero.in_plan(loop_plan(axis, turning.exploration, turning.in_motion))
     if resume:

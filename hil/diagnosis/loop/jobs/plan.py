@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hil.app.jobs.plan import Move, Plan, Write, measuring_plan
 from hil.axis.axis_file import AxisConfig
@@ -14,17 +14,21 @@ from hil.calibration.in_motion_settings import InMotion
 from hil.machine.measure import bidirectional_steps
 from hil.records.journal import Campaign
 
+if TYPE_CHECKING:  # the diagnosis loads slowly
+    from hil.diagnosis.loop.procedure import Loop
+
 CLOSE_LOOP = "close-loop"
 
 
 @dataclass(frozen=True)
 class Looped:
     """The result of a loop. stages: the figures of each, as `error_figures`, in the order of time; good: nothing
-    remains to be done
+    remains to be done; loop: as the procedure returns it
     """
 
     stages: Mapping[str, Mapping[str, Any]]
     good: bool
+    loop: Loop
 
 
 def loop_plan(axis: AxisConfig, exploration: Exploration, in_motion: InMotion | None = None) -> Plan:

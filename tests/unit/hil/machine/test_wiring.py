@@ -268,7 +268,7 @@ def test_a_drive_is_held_whichever_axis_file_names_it(tmp_path: Path, kind: str,
         for connect in (held_axis, connected, connected_drive, lambda axis: connected_parameters([axis])):
             with pytest.raises(InputError, match=said), connect(axes[1]):
                 pass
-        other = "import sys, hil.commissioning as hil; hil.connected(hil.load_axis(sys.argv[1])).__enter__()"
+        other = "import sys, hil; hil.open(sys.argv[1]).__enter__()"
         done = subprocess.run([sys.executable, "-c", other, axes[1].path], check=False, capture_output=True, text=True)
         assert "is in use already, by another axis file" in done.stderr
     with held_axis(axes[1]):

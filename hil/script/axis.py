@@ -1,0 +1,572 @@
+"""An axis as one object for scripts: it is looked at and moved, and its jobs are those of the verbs and the screen."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
+
+from drivers.clock import NS_PER_S
+from drivers.drive import DriveSample, DriveState, ServoDrive
+from drivers.errors import CapabilityError, InputError, StateError
+from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
+from hil.machine.events import Event, Listener, silent
+from hil.records.journal import Campaign
+from hil.script.reading import AxisReading
+from hil.script.results import (
+    BacklashResult,
+    CalibrationResult,
+    DoctorResult,
+    LoopResult,
+    ReversalResult,
+    VerificationResult,
+)
+from hil.script.rows import Rows
+
+if TYPE_CHECKING:  # drivers and fits load slowly
+    import canopen
+
+    from drivers.instrument import Reading
+    from hil.app.desk.axis_thread import Connection
+    from hil.app.jobs.job import Job, Workplace
+    from hil.app.jobs.zero_statement import ZeroStatement
+    from hil.correction.compensation import Command
+    from hil.correction.store import SealedStore
+    from hil.machine.session import AxisSession
+    from hil.machine.supervisor import Supervisor
+    from hil.script.parameters import Parameters
+
+
+class Measuring(TypedDict, total=False):
+    """Keys of [measurement] that a call gives in place of the axis file's."""
+
+    targets_mm: Sequence[float]
+    runs: int
+    velocity_mm_s: float
+    overrun_mm: float
+    dwell_s: float
+    reading_s: float
+    reference_mm: float
+    settle_um: float
+    settle_within_s: float
+
+
+class Reversing(TypedDict, total=False):
+    """Keys of [lost_motion] that a call gives in place of the axis file's."""
+
+    at_mm: float
+    stroke_mm: float
+    places: int
+    finest_um: float
+    runs: int
+    proof_moves: int
+    shortest_rise_um: float
+
+
+class Winding(TypedDict, total=False):
+    """Keys of [backlash] that a call gives in place of the axis file's."""
+
+    reference_plus_mm: float
+    reference_minus_mm: float
+    travel_velocity_mm_s: float
+    run_in_mm: float
+    step_um: float
+    steps: int
+    readings: int
+    settle_s: float
+    velocity_mm_s: float
+    feed: str
+    creep_um_s: float
+    runs: int
+    method: str
+    reversals: str
+    scale: float
+
+
+class RealTime:
+    """Waits of clocks without an operator's stop; simulated time passes as fast as it can."""
+
+    def real(self, duration_s: float) -> None:
+        """Sleep."""
+        time.sleep(duration_s)
+
+    def simulated(self, now_ns: int) -> None:
+        """Do not wait."""
+
+
+def open_axis(
+    path: str | Path,
+    *,
+    password: str | None = None,
+    key_password: str | None = None,
+    on_event: Listener = silent,
+    network: canopen.Network | None = None,
+) -> Axis:
+    """The axis of an axis file, for a `with` block: it is connected on entering; on leaving it is stopped after an error, disabled
+    unless it was enabled, and disconnected.
+
+    password, key_password: of the sealed tables and of the builder's key; None: as for the verbs, from HIL_PASSWORD and
+    HIL_KEY_PASSWORD, the axis file, or the keyboard. on_event: called with progress and warnings. network: a connected
+    canopen.Network of yours in place of the bus that the axis file names. Raises InputError.
+    """
+    return Axis(load_drive_axis(path), Passwords(password, key_password), on_event, network=network)
+
+
+class Passwords:
+    """Passwords that a script gives; None: not given."""
+
+    def __init__(self, reading: str | None, key: str | None) -> None:
+        self._reading, self._key = reading, key
+
+    def store(self, axis: AxisConfig, *, writing: bool) -> SealedStore:
+        """The axis's store. Raises as `hil.app.terminal.passwords.password` and `SealedStore.of`."""
+        from hil.app.terminal.axis_options import has_tables  # noqa: PLC0415  (cryptography loads slowly)
+        from hil.app.terminal.options import KEY, READING  # noqa: PLC0415
+        from hil.app.terminal.passwords import password  # noqa: PLC0415
+        from hil.correction.store import SealedStore  # noqa: PLC0415
+
+        key, reading, usual = self._key, self._reading, axis.store
+        if writing and key is None:
+            key = password(None, KEY, "builder key's password", os.environ, usual=usual.key_password_file)
+        if reading is None:
+            new = writing and not has_tables(axis)
+            reading = password(None, READING, "reading password", os.environ, usual=usual.password_file, new=new)
+        return SealedStore.of(axis, reading, key if writing else None)
+
+
+class Axis:
+    """A context manager; made by `hil.open`. Jobs begin anew: `home()` again before moving on after one."""
+
+    def __init__(
+        self,
+        file: DriveAxis,
+        passwords: Passwords,
+        on_event: Listener,
+        connection: Connection | None = None,
+        network: canopen.Network | None = None,
+    ) -> None:
+        self.file = file
+        self._passwords = passwords
+        self._listener = on_event
+        self._connection = connection  # given: of several axes, whose owner connects and disconnects them
+        self._network = network
+        self._shared = connection is not None
+        self._stack = ExitStack()
+        self._alone: Supervisor | None = None  # of a drive without an instrument
+        self._opened_ns = 0
+        self._homed = False  # the datum is taken, and the history known
+        self._last: tuple[float, float, int] | None = None  # target, command, direction of arrival
+
+    @property
+    def name(self) -> str:
+        """As the axis file has it."""
+        return self.file.name
+
+    @property
+    def parameters(self) -> Parameters:
+        """The drive's parameters: backup, diff, download, verify, restore, store."""
+        from hil.script.parameters import Parameters  # noqa: PLC0415
+
+        return Parameters(self)
+
+    def __repr__(self) -> str:
+        return f"<axis {self.name} of {self.file.path}{'' if self._connection else ', not open'}>"
+
+    # -- coming and going ----------------------------------------------------------------------------------------------
+    def __enter__(self) -> Self:
+        self._connect()
+        return self
+
+    def __exit__(
+        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._connection = None
+        self._stack.__exit__(exc_type, exc, traceback)
+
+    def forget(self) -> None:
+        """Its owner disconnects it."""
+        self._connection = None
+
+    def _connect(self) -> None:
+        from hil.app.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
+        from hil.machine.supervisor import Supervisor  # noqa: PLC0415
+        from hil.machine.watched_axis import WatchedAxis  # noqa: PLC0415
+        from hil.machine.who_is_there import naming_who_is_there  # noqa: PLC0415
+        from hil.machine.wiring import connected, connected_drive  # noqa: PLC0415
+
+        with ExitStack() as stack:
+            with naming_who_is_there(self.file):
+                if isinstance(self.file, AxisConfig):
+                    session = stack.enter_context(connected(self.file, network=self._network)).session
+                    self._connection = Connection(session.drive, session)
+                else:
+                    drive = stack.enter_context(connected_drive(self.file, network=self._network))
+                    self._connection = Connection(drive, None)
+                    self._alone = stack.enter_context(Supervisor([WatchedAxis(drive)]))
+            self._opened_ns = self._connection.drive.clock.now_ns()
+            self._stack = stack.pop_all()
+
+    @contextmanager
+    def _disconnected(self) -> Iterator[None]:
+        """For a job that connects the axis itself."""
+        if self._shared:
+            raise CapabilityError(f"axis {self.name} was opened with others: open it alone for this")
+        self._require()
+        self._connection = None
+        self._stack.close()
+        try:
+            yield
+        finally:
+            self._connect()
+
+    def _require(self) -> Connection:
+        if self._connection is None:
+            raise StateError(f'axis {self.name} is not open, expected: with hil.open("{self.file.path}") as axis')
+        return self._connection
+
+    @property
+    def _supervisor(self) -> Supervisor:
+        session = self._require().session
+        if session is not None:
+            return session.supervisor
+        if self._alone is None:
+            raise StateError(f"axis {self.name} is not open")
+        return self._alone
+
+    def _session(self) -> AxisSession:
+        session = self._require().session
+        if session is None:
+            raise CapabilityError(f"axis {self.name} has no instrument: its file ends with the drive")
+        return session
+
+    # -- looking -------------------------------------------------------------------------------------------------------
+    def read(self) -> AxisReading:
+        """Drive, motor and instrument. At rest the instrument is averaged over reading_s, under power after a dwell. Raises
+        MeasurementLostError without readings."""
+        connection = self._require()
+        session, drive = connection.session, connection.drive
+        if session is None:
+            return self._reading(self._supervisor.axes[0].look()[0], None)
+        enabled = drive.sample().state is DriveState.ENABLED
+        if self._homed and enabled:
+            found = session.read_position()
+            return self._reading(found.sample, found.position_load_mm, std_um=found.std_um)
+        if enabled:
+            return self._reading(drive.sample(), None, raw_mm=session.raw_average())
+        positions = [one.position_mm for one in session.watch(session.how.reading_s) if one.position_mm is not None]
+        if not positions:
+            session.await_instrument()
+        raw_mm = sum(positions) / len(positions) if positions else None
+        return self._reading(drive.sample(), None, raw_mm=raw_mm)
+
+    def watch(self, seconds: float, every_s: float = 0.05) -> Iterator[AxisReading]:
+        """Look at the axis for so long, and yield what is seen as it comes. Raises what is wrong with drive or instrument; then the
+        axis is stopped."""
+        axis, clock = self._supervisor.axes[0], self._require().drive.clock
+        deadline, due_ns = clock.deadline(seconds), clock.now_ns()
+        while not deadline.expired:
+            due_ns = max(clock.now_ns(), due_ns + round(every_s * NS_PER_S))
+            with self._supervisor.stopping_on_error():
+                clock.sleep_until_ns(min(due_ns, deadline.end_ns))
+                sample, readings = axis.look()
+            yield self._with(sample, readings)
+
+    def _with(self, sample: DriveSample, readings: Sequence[Reading]) -> AxisReading:
+        session = self._require().session
+        good = [one for one in readings if one.position_mm is not None]
+        if session is None or not good:
+            return self._reading(sample, None)
+        if not self._homed:
+            return self._reading(sample, None, raw_mm=good[-1].position_mm)
+        return self._reading(sample, session.load_position_mm(good[-1]))
+
+    def _reading(
+        self,
+        sample: DriveSample,
+        instrument_mm: float | None,
+        *,
+        raw_mm: float | None = None,
+        std_um: float | None = None,
+    ) -> AxisReading:
+        target_mm, command_mm, direction = self._last or (None, None, 0)
+        return AxisReading(
+            (sample.time_ns - self._opened_ns) / NS_PER_S,
+            sample.state.value,
+            sample.position_load_mm,
+            instrument_mm,
+            raw_mm,
+            std_um,
+            sample.velocity_mm_s,
+            sample.torque_percent,
+            sample.following_error_mm,
+            sample.homed,
+            sample.fault_code,
+            target_mm,
+            command_mm,
+            direction,
+        )
+
+    # -- moving --------------------------------------------------------------------------------------------------------
+    def home(self, *, corrected: bool = False, new_zero: bool = False, instrument_zeroed: bool = False) -> None:
+        """Enable, home where the axis file says so, and take the instrument's datum at the reference position.
+
+        corrected: with the stored tables in force afterwards; new_zero, instrument_zeroed: as the options of the verbs. Raises what
+        homing and moving raise.
+        """
+        session = self._require().session
+        self._last = None
+        if session is None:
+            self._supervisor.get_ready(home=True)
+            return
+        store = self._passwords.store(self._measured_file(), writing=False) if corrected else None
+        compensation = None if store is None else store.load()
+        self._homed = False
+        session.compensation = None
+        with _stated(new_zero, instrument_zeroed).applied(session):
+            session.prepare(None, compensation)
+        session.compensation = compensation
+        self._homed = True
+
+    def move_to(self, position_mm: float, velocity_mm_s: float | None = None) -> None:
+        """Move to a position, load mm, and return once the axis has arrived. It is enabled if it is not.
+
+        velocity_mm_s: None, that of [measurement]. Raises StateError for an axis that is not homed, LimitError before any motion for a
+        target outside the travel, and what stops the axis.
+        """
+        connection = self._require()
+        sample = connection.drive.sample()
+        homes = not isinstance(self.file, AxisConfig) or self.file.measurement.home
+        if homes and not self._homed and not sample.homed:
+            raise StateError(f"axis {self.name} is not homed, expected home() first")
+        connection.drive.limits.check_target(position_mm)
+        if sample.state is not DriveState.ENABLED:
+            self._homed = False
+            self._supervisor.enable()
+        before_mm = sample.position_load_mm if self._last is None else self._last[0]
+        command_mm = self._ordered(position_mm, self._velocity(velocity_mm_s))
+        came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
+        direction = came or (0 if self._last is None else self._last[2])
+        self._last = (position_mm, command_mm, direction)
+
+    def _ordered(self, position_mm: float, velocity_mm_s: float) -> float:
+        """Move; returns the command, mm."""
+        session = self._require().session
+        if session is None:
+            self._supervisor.move(position_mm, velocity_mm_s)
+            return position_mm
+        if self._homed and session.history is not None:
+            command: Command = session.move_to(position_mm, velocity_mm_s)
+            return command.command_mm
+        session.move_uncorrected(position_mm, velocity_mm_s)
+        return position_mm
+
+    def _velocity(self, velocity_mm_s: float | None) -> float:
+        if velocity_mm_s is not None:
+            return velocity_mm_s
+        if not isinstance(self.file, AxisConfig):
+            raise InputError("has no [measurement] velocity_mm_s, expected one with the call", path=self.file.path)
+        return self.file.measurement.velocity_mm_s
+
+    def disable(self) -> None:
+        """Take the axis out of power."""
+        connection = self._require()
+        connection.drive.disable()
+        self._homed, self._last = False, None
+        if connection.session is not None:
+            connection.session.command_state.forget()
+
+    def stream(self, positions_mm: Iterable[float], period_s: float, *, following_error_mm: float = 1.0) -> Rows:
+        """Follow set-points, one each period, from where the axis stands; with the correction in force after `home(corrected=True)`.
+
+        Returns target and motor of each period: time_s, target_mm, motor_mm. Raises StateError before `home()`, LimitError for a
+        target outside the travel, and what the stream raises; any error stops the axis.
+        """
+        from drivers.set_points import SetPointSettings, SetPointStream  # noqa: PLC0415
+
+        session = self._session()
+        if not self._homed:
+            raise StateError(f"axis {self.name}: expected home() before stream()")
+        targets: list[float] = []
+        found: list[tuple[int, float]] = []
+
+        def path() -> Iterator[tuple[float, float]]:
+            before_mm = session.command_state.known_history.position_mm
+            for target_mm in positions_mm:
+                targets.append(target_mm)
+                yield target_mm, (target_mm - before_mm) / period_s
+                before_mm = target_mm
+
+        def at(stream: SetPointStream) -> None:
+            found.append((stream.found[0], stream.found[1]))
+
+        session.stream_along(path(), SetPointSettings(period_s, following_error_mm), at)
+        self._last = None
+        times = [(time_ns - self._opened_ns) / NS_PER_S for time_ns, _ in found]
+        return Rows.from_lists(time_s=times, target_mm=targets[: len(found)], motor_mm=[place for _, place in found])
+
+    # -- jobs ----------------------------------------------------------------------------------------------------------
+    def doctor(self, *, move: bool = True, trust_file: bool = False, home: bool = False) -> DoctorResult:
+        """Preflight, as `hil doctor`."""
+        from hil.doctor.procedure import doctor  # noqa: PLC0415  (drivers load slowly)
+
+        self._measured_file()
+        with self._job():
+            checks = doctor(self._session(), move=move, trust_file=trust_file, home=home)
+        return DoctorResult(self.file, None, tuple(checks))
+
+    def calibrate(
+        self,
+        *,
+        resume: bool = False,
+        new_zero: bool = False,
+        instrument_zeroed: bool = False,
+        **how: Unpack[Measuring],
+    ) -> CalibrationResult:
+        """Measure, compute tables, store them sealed, prove them, as `hil calibrate --without-proof`; `verify()` is the proof."""
+        from hil.calibration.job import CALIBRATE, calibration_job  # noqa: PLC0415  (loads slowly)
+
+        axis, zero = self._measured_file(measurement=how), _stated(new_zero, instrument_zeroed)
+        result = self.run(
+            calibration_job(axis, resume=resume, zero=zero), self._passwords.store(axis, writing=True), axis
+        )
+        return CalibrationResult(axis, _folder(axis, CALIBRATE), result)
+
+    def verify(
+        self,
+        *,
+        corrected: bool = True,
+        seed: int = 1,
+        resume: bool = False,
+        instrument_zeroed: bool = False,
+        **how: Unpack[Measuring],
+    ) -> VerificationResult:
+        """Measure at other targets with the stored correction in force, as `hil verify`; corrected: False, without any."""
+        from hil.calibration.job import UNCORRECTED, VERIFY, Across, verification_job  # noqa: PLC0415  (loads slowly)
+
+        axis, zero = self._measured_file(measurement=how), _stated(False, instrument_zeroed)
+        store = self._passwords.store(axis, writing=False) if corrected else None
+        across = None
+        if store is not None and axis.straightness is not None and store.load().moves_axis:
+            across = Across.of(axis, self._store_of_other(axis))
+        job = verification_job(axis, corrected=corrected, seed=seed, resume=resume, zero=zero, across=across)
+        verified = self.run(job, store, axis)
+        tables = None if verified.compensation is None else verified.compensation.tables
+        return VerificationResult(axis, _folder(axis, VERIFY if corrected else UNCORRECTED), tables, verified.result)
+
+    def _store_of_other(self, axis: AxisConfig) -> SealedStore | None:
+        other = load_drive_axis(axis.across().axis_file)
+        return self._passwords.store(other, writing=False) if isinstance(other, AxisConfig) else None
+
+    def backlash(self, *, write: bool = False, **how: Unpack[Winding]) -> BacklashResult:
+        """Lost motion by the servo's torque, as `hil backlash`. write: into the drive's parameter, or the tables where it has none."""
+        from hil.backlash.job import backlash_config, measuring_job, write_job  # noqa: PLC0415  (loads slowly)
+
+        axis = load_drive_axis(self.file.path, {"backlash": how} if how else {})
+        settings = backlash_config(axis)
+        into_tables = write and settings.parameter is None and isinstance(axis, AxisConfig)
+        store = self._passwords.store(axis, writing=True) if into_tables and isinstance(axis, AxisConfig) else None
+        measured = self.run(measuring_job(axis, settings), store)
+        mean_um = measured.result.lost_motion_um
+        if write and mean_um is not None:
+            self.run(write_job(axis, settings, mean_um), store)
+        return BacklashResult(axis, None, measured, write and mean_um is not None)
+
+    def lost_motion(
+        self, *, store: bool = True, seed: int = 1, resume: bool = False, **how: Unpack[Reversing]
+    ) -> ReversalResult:
+        """Lost motion after a reversal by the instrument, as `hil lost-motion`. store: put it into force where it proves itself.
+
+        Raises NoLostMotionError where there is nothing to correct.
+        """
+        from hil.correction.store import bound_tables  # noqa: PLC0415  (cryptography loads slowly)
+        from hil.lost_motion.job import lost_motion_config, measuring_job, store_job  # noqa: PLC0415
+
+        axis = self._measured_file(lost_motion=how)
+        there = bound_tables(axis) is not None
+        opened = self._passwords.store(axis, writing=store) if store or there else None
+        measured = self.run(measuring_job(axis, lost_motion_config(axis), seed=seed, resume=resume), opened)
+        stored = store and measured.result.good
+        if stored:
+            self.run(store_job(axis, measured), opened)
+        return ReversalResult(axis, measured.kept, measured, stored)
+
+    def close_loop(
+        self,
+        *,
+        runs: int = 8,
+        rows: int = 42,
+        warm_up_s: float = 240.0,
+        feeds_mm_s: Sequence[float] = (),
+        resume: bool = False,
+    ) -> LoopResult:
+        """Calibrate, explore, diagnose, add what is found, measure again, as `hil close-loop`; feeds_mm_s: then passes in motion."""
+        from hil.calibration.explore import Exploration  # noqa: PLC0415  (the diagnosis loads slowly)
+        from hil.diagnosis.loop.job import loop_job  # noqa: PLC0415
+        from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at  # noqa: PLC0415
+        from hil.diagnosis.loop.procedure import Turning  # noqa: PLC0415
+
+        axis = self._measured_file()
+        in_motion = passes_at(axis, tuple(feeds_mm_s)) if feeds_mm_s else None
+        turning = Turning(Exploration(runs, rows, warm_up_s), in_motion=in_motion)
+        looped = self.run(loop_job(axis, turning, resume=resume), self._passwords.store(axis, writing=True))
+        return LoopResult(axis, _folder(axis, CLOSE_LOOP), looped.loop, looped.stages, looped.good)
+
+    def _measured_file(self, **given: Any) -> AxisConfig:
+        """The axis file with these values in its sections, checked as its own. Raises CapabilityError without an instrument."""
+        used = {section: values for section, values in given.items() if values}
+        axis = load_drive_axis(self.file.path, used) if used else self.file
+        if not isinstance(axis, AxisConfig):
+            raise CapabilityError(f"axis {self.name} has no instrument: its file ends with the drive")
+        return axis
+
+    def run(self, job: Job, store: SealedStore | None = None, axis: AxisConfig | None = None) -> Any:
+        """Run a job as the screen's desk does; its result. axis: with the measurement that takes the place of the session's."""
+        on = self._require()
+        if job.connects:
+            with self._disconnected():
+                return job.work(self._place(None, None, store))
+        with self._job():
+            session = on.session
+            usual = None if session is None else session.how
+            if session is not None and axis is not None:
+                session.how = axis.measurement
+            try:
+                return job.work(self._place(on.drive, session, store))
+            finally:
+                if session is not None and usual is not None:
+                    session.how = usual
+                notes = [] if session is None else session.untold_notes()
+                for note in notes:
+                    self._tell(note)
+
+    @contextmanager
+    def _job(self) -> Iterator[None]:
+        one_job: AbstractContextManager[object] = self._require().one_job()
+        self._homed, self._last = False, None
+        with one_job:
+            yield
+
+    def _place(self, drive: ServoDrive | None, session: AxisSession | None, store: SealedStore | None) -> Workplace:
+        from hil.app.jobs.job import Workplace  # noqa: PLC0415  (drivers load slowly)
+
+        unseen = lambda _name, _drive, _session: None  # noqa: E731
+        return Workplace(self.file, drive, session, self._listener, self._tell, store, RealTime(), unseen)
+
+    def _tell(self, note: str) -> None:
+        self._listener(Event("note", note, warning=True))
+
+
+def _folder(axis: AxisConfig, kind: str) -> Path | None:
+    """The folder of the last campaign of a kind."""
+    last = Campaign.latest(axis.store.directory, kind)
+    return None if last is None else last.directory
+
+
+def _stated(new_zero: bool, instrument_zeroed: bool) -> ZeroStatement:
+    from hil.app.jobs.zero_statement import ZeroStatement  # noqa: PLC0415  (drivers load slowly)
+
+    return ZeroStatement(new_zero, instrument_zeroed)

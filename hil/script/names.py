@@ -1,0 +1,84 @@
+"""The names of `import hil`, which imports this module when the first of them is used."""
+
+from drivers.errors import (
+    AbortError,
+    BridgeError,
+    CapabilityError,
+    CorrectionBoundError,
+    DriveFaultError,
+    FollowingErrorError,
+    InputError,
+    LimitError,
+    LinkLostError,
+    MeasurementLostError,
+    MotionTimeoutError,
+    NoAnswerError,
+    OverspeedError,
+    SafetyError,
+    StateError,
+    UnprovenError,
+)
+from hil.correction.sealed.errors import SealedError, WrongPasswordError
+from hil.machine.events import Event
+from hil.records.made_with import MadeWithError
+from hil.records.zero import ZeroError
+from hil.script.axes import open_axes
+from hil.script.axis import Axis
+from hil.script.axis import open_axis as open
+from hil.script.parameters import Parameters
+from hil.script.reading import AxisReading
+from hil.script.results import (
+    BacklashResult,
+    CalibrationResult,
+    DoctorResult,
+    ErrorFigures,
+    LoopResult,
+    MeasuredResult,
+    ParameterComparison,
+    ParameterWriting,
+    Result,
+    ReversalResult,
+    VerificationResult,
+)
+from hil.script.rows import Rows
+
+__all__ = [
+    "AbortError",
+    "Axis",
+    "AxisReading",
+    "BacklashResult",
+    "BridgeError",
+    "CalibrationResult",
+    "CapabilityError",
+    "CorrectionBoundError",
+    "DoctorResult",
+    "DriveFaultError",
+    "ErrorFigures",
+    "Event",
+    "FollowingErrorError",
+    "InputError",
+    "LimitError",
+    "LinkLostError",
+    "LoopResult",
+    "MadeWithError",
+    "MeasuredResult",
+    "MeasurementLostError",
+    "MotionTimeoutError",
+    "NoAnswerError",
+    "OverspeedError",
+    "ParameterComparison",
+    "ParameterWriting",
+    "Parameters",
+    "Result",
+    "ReversalResult",
+    "Rows",
+    "SafetyError",
+    "SealedError",
+    "StateError",
+    "UnprovenError",
+    "VerificationResult",
+    "WrongPasswordError",
+    "ZeroError",
+    "open",
+    "open_axes",
+]

@@ -1,0 +1,493 @@
+"""Results of the jobs of a script: figures as attributes, rows, report, certificate, and a plot in a notebook."""
+
+from __future__ import annotations
+
+import io
+import json
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.errors import CapabilityError, InputError
+from drivers.files import replace_file
+from hil.axis.axis_file import AxisConfig, DriveAxis, accuracy_of
+from hil.figures.verdict import Accuracy
+from hil.records.rows import Records
+from hil.script.rows import Rows
+
+if TYPE_CHECKING:  # what measures and fits loads slowly
+    from hil.backlash.job import MeasuredBacklash
+    from hil.calibration.calibrate import Calibration
+    from hil.calibration.job import Verification
+    from hil.correction.tables import TableSet
+    from hil.diagnosis.loop.procedure import Loop
+    from hil.doctor.procedure import Check
+    from hil.lost_motion.job import MeasuredLostMotion
+    from hil.parameters.compare import Comparison
+    from hil.parameters.report import JobReport
+
+
+@dataclass(frozen=True)
+class ErrorFigures:
+    """Figures of the errors of some rows, µm. A, R, B and M of ISO 230-2 are None where the rows do not give them."""
+
+    rows: int
+    rms_um: float
+    mean_um: float
+    peak_um: float
+    A_um: float | None = None
+    R_um: float | None = None
+    B_um: float | None = None
+    M_um: float | None = None
+
+    @classmethod
+    def of(cls, records: Records) -> ErrorFigures:
+        """The figures of these rows."""
+        from hil.app.jobs.figures import error_figures  # noqa: PLC0415  (loads slowly)
+
+        return cls(**error_figures(records))
+
+    @property
+    def in_short(self) -> str:
+        """A where it is known, else the largest error, µm."""
+        return f"peak {self.peak_um:.2f} µm" if self.A_um is None else f"A {self.A_um:.2f} µm"
+
+
+@dataclass(frozen=True, repr=False)
+class Result(ABC):
+    """The result of a job. campaign: the folder of its rows, None for a job without."""
+
+    axis: DriveAxis
+    campaign: Path | None
+
+    @property
+    @abstractmethod
+    def good(self) -> bool:
+        """The verdict, as the verb's exit status gives it."""
+
+    @property
+    @abstractmethod
+    def sentence(self) -> str:
+        """The result in one short sentence."""
+
+    @abstractmethod
+    def form(self) -> Mapping[str, Any]:
+        """The result as plain values."""
+
+    def save(self, path: str | Path | None = None) -> Path:
+        """Write the result as JSON; its file. path: None, beside its rows. Raises InputError for a result without rows."""
+        if path is None:
+            if self.campaign is None:
+                raise InputError("this result has no folder of rows, expected a path")
+            path = self.campaign / "script-result.json"
+        replace_file(path, (json.dumps(self.form(), indent=2, default=str) + "\n").encode())
+        return Path(path)
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report as one HTML file. Raises CapabilityError where this kind of result has none."""
+        replace_file(path, self._page().encode())
+        return Path(path)
+
+    def certificate(self, path: str | Path) -> Path:
+        """Write the signed certificate, PDF, of the last pass, as `hil report --certificate` does; the key's password is that of the
+        environment or the axis file. Raises CapabilityError where this kind of result has none, and as the verb."""
+        rows = self._certified()
+        if rows is None:
+            raise CapabilityError(f"a {type(self).__name__} is not certified: verify() is")
+        from hil.app.terminal.main import build_parser  # noqa: PLC0415  (plots are slow to import)
+
+        words = ["report", str(rows), "--axis-file", str(self.axis.path), "--certificate", str(path)]
+        arguments = build_parser(words).parse_args(words)
+        with redirect_stdout(io.StringIO()):
+            arguments.run(arguments)
+        return Path(path)
+
+    def _page(self) -> str:
+        raise CapabilityError(f"a {type(self).__name__} has no report: save() writes it as JSON")
+
+    def _certified(self) -> Path | None:
+        return None
+
+    def __repr__(self) -> str:
+        return f"<{self.sentence}>"
+
+
+class MeasuredResult(Result):
+    """A result with rows along the axis."""
+
+    @property
+    @abstractmethod
+    def records(self) -> Records:
+        """The rows of the last pass."""
+
+    @property
+    def rows(self) -> Rows:
+        """The rows of the last pass, as columns."""
+        return Rows(self.records.columns)
+
+    def _repr_html_(self) -> str:
+        """The sentence and the plot of the errors, for a notebook."""
+        from hil.app.report.data import NamedCampaign  # noqa: PLC0415  (plots are slow to import)
+        from hil.app.report.markup import text  # noqa: PLC0415
+        from hil.app.report.plots import error_plot  # noqa: PLC0415
+        from hil.app.report.svg import LIGHT, file_bytes  # noqa: PLC0415
+
+        svg = file_bytes(error_plot(NamedCampaign(self.axis.name, self.records), LIGHT), "svg").decode()
+        return f"<p>{text(self.sentence)}</p>{svg[svg.index('<svg') :]}"
+
+
+@dataclass(frozen=True, repr=False)
+class DoctorResult(Result):
+    """What `doctor` found. checks: in the order in which they were made."""
+
+    checks: tuple[Check, ...]
+
+    @property
+    def good(self) -> bool:
+        """Every check is good."""
+        return all(check.good for check in self.checks)
+
+    @property
+    def sentence(self) -> str:
+        """How many checks are good, and which are not."""
+        bad = [check.name for check in self.checks if not check.good]
+        return f"doctor of {self.axis.name}: {len(self.checks)} checks, " + (
+            f"not good: {', '.join(bad)}" if bad else "all good"
+        )
+
+    def form(self) -> Mapping[str, Any]:
+        """As `hil doctor --json`."""
+        return {"axis": self.axis.name, "good": self.good, "checks": [vars(check) for check in self.checks]}
+
+
+@dataclass(frozen=True, repr=False)
+class CalibrationResult(MeasuredResult):
+    """A calibration. raw: as the procedure returns it, with every round."""
+
+    axis: AxisConfig
+    raw: Calibration
+
+    @cached_property
+    def before(self) -> ErrorFigures:
+        """Of the uncorrected axis."""
+        return ErrorFigures.of(self.raw.before)
+
+    @cached_property
+    def after(self) -> ErrorFigures:
+        """With the tables in force, at the calibrated targets."""
+        return ErrorFigures.of(self.raw.rounds[-1].records)
+
+    @property
+    def tables(self) -> TableSet:
+        """The tables, stored and in force."""
+        return self.raw.tables
+
+    @property
+    def good(self) -> bool:
+        """Every section is inside the band; true without a band."""
+        return self.raw.inside
+
+    @property
+    def records(self) -> Records:
+        """Of the last round."""
+        return self.raw.rounds[-1].records
+
+    @property
+    def sentence(self) -> str:
+        """Before and after."""
+        return f"calibration of {self.axis.name}: {self.before.in_short} before, {self.after.in_short} with the tables"
+
+    def form(self) -> Mapping[str, Any]:
+        """As `hil calibrate --json`, without the verification."""
+        from hil.calibration.job import summarise  # noqa: PLC0415  (loads slowly)
+
+        return summarise(self.axis, self.raw)
+
+    def _page(self) -> str:
+        from hil.calibration.report import calibration_report  # noqa: PLC0415  (plots are slow to import)
+
+        return calibration_report(self.axis, self.raw)
+
+
+@dataclass(frozen=True, repr=False)
+class VerificationResult(MeasuredResult):
+    """A verification. tables: in force, None for the uncorrected axis; raw: as the procedure returns it."""
+
+    axis: AxisConfig
+    tables: TableSet | None
+    raw: Verification
+
+    @cached_property
+    def accuracy(self) -> Accuracy:
+        """The accuracy A with its uncertainty U (k = 2) against the limit, by ISO 14253-1."""
+        return accuracy_of(self.axis, self.raw.records, corrected=self.tables is not None)
+
+    @cached_property
+    def figures(self) -> ErrorFigures:
+        """Of the errors at these targets."""
+        return ErrorFigures.of(self.raw.records)
+
+    @property
+    def A_um(self) -> float | None:  # noqa: N802  (the standard's name)
+        """The accuracy A of ISO 230-2, None where the rows cannot give it."""
+        return self.accuracy.A_um
+
+    @property
+    def U_um(self) -> float | None:  # noqa: N802
+        """Its expanded uncertainty, None where nothing is stated of the instrument."""
+        return self.accuracy.U_um
+
+    @property
+    def good(self) -> bool:
+        """A does not fail its limit, and no section is outside the band."""
+        return self.raw.good and self.accuracy.good
+
+    @property
+    def records(self) -> Records:
+        """Of the verification."""
+        return self.raw.records
+
+    @property
+    def sentence(self) -> str:
+        """The accuracy and its verdict."""
+        return f"verification of {self.axis.name}: {self.accuracy}"
+
+    def form(self) -> Mapping[str, Any]:
+        """The figures of `hil verify --json`."""
+        outside = [vars(section) for section in self.raw.outside]
+        told = {"axis": self.axis.name, "good": self.good, "accuracy": self.accuracy.as_json()}
+        return {**told, **vars(self.figures), "outside": outside}
+
+    def _page(self) -> str:
+        if self.tables is None:
+            raise CapabilityError("the report of a verification is of tables in force, and there were none")
+        from hil.calibration.report import verification_report  # noqa: PLC0415  (plots are slow to import)
+
+        return verification_report(self.axis, self.tables, self.raw)
+
+    def _certified(self) -> Path | None:
+        if self.campaign is None:
+            return None
+        return self.campaign / f"{'uncorrected' if self.tables is None else 'verify'}.csv"
+
+
+@dataclass(frozen=True, repr=False)
+class BacklashResult(Result):
+    """Lost motion by torque. raw: as the procedure returns it; written: whether the mean was written."""
+
+    raw: MeasuredBacklash
+    written: bool
+
+    @property
+    def lost_motion_um(self) -> float | None:
+        """Mean over the directions measured, None where the detection limit was exceeded."""
+        return self.raw.result.lost_motion_um
+
+    @cached_property
+    def u95_um(self) -> float | None:
+        """Its uncertainty at 95 %, None without a fit."""
+        from hil.backlash.result import fitted_lost_motion  # noqa: PLC0415  (loads slowly)
+
+        found = fitted_lost_motion(self.raw.result.reversals, self.raw.result.directions)
+        return None if found is None else found.u95_um
+
+    @property
+    def good(self) -> bool:
+        """There is a mean."""
+        return self.lost_motion_um is not None
+
+    @property
+    def sentence(self) -> str:
+        """The mean with its uncertainty."""
+        mean, spread = self.lost_motion_um, self.u95_um
+        if mean is None:
+            return f"backlash of {self.axis.name}: detection limit exceeded"
+        return f"backlash of {self.axis.name}: {mean:.1f}" + ("" if spread is None else f" ± {spread:.1f}") + " µm"
+
+    def form(self) -> Mapping[str, Any]:
+        """As `hil backlash --json`."""
+        from hil.backlash.documents import form  # noqa: PLC0415  (loads slowly)
+
+        return form(self.axis, self.raw)
+
+    @property
+    def rows(self) -> Rows:
+        """The torque at each step of every reversal: run, direction, motor_mm, torque_percent (mean of its readings)."""
+        import numpy as np  # noqa: PLC0415
+
+        traces = [(one.run, one.trace) for one in self.raw.result.reversals]
+        sizes = [len(trace.position_load_mm) for _, trace in traces]
+        columns = {
+            "run": np.repeat([float(run) for run, _ in traces], sizes),
+            "direction": np.repeat([float(trace.direction) for _, trace in traces], sizes),
+            "motor_mm": np.concatenate([trace.position_load_mm for _, trace in traces]),
+            "torque_percent": np.concatenate([trace.torque_percent.mean(axis=1) for _, trace in traces]),
+        }
+        return Rows(columns)
+
+    def _page(self) -> str:
+        from hil.backlash.documents import report_html  # noqa: PLC0415  (plots are slow to import)
+
+        return report_html(self.axis, self.raw)
+
+
+@dataclass(frozen=True, repr=False)
+class ReversalResult(MeasuredResult):
+    """Lost motion after a reversal. raw: as the procedure returns it; stored: whether the correction was put into force."""
+
+    axis: AxisConfig
+    raw: MeasuredLostMotion
+    stored: bool
+
+    @property
+    def amount_um(self) -> float:
+        """The lost motion."""
+        return self.raw.result.estimate.amount_um
+
+    @property
+    def shape(self) -> str:
+        """Name of the form in which it comes back."""
+        return self.raw.result.estimate.rise.shape.name
+
+    @property
+    def before_um(self) -> float:
+        """Largest error of the moves of the proof without it."""
+        return float(abs(self.raw.result.proof.before_um).max())
+
+    @property
+    def after_um(self) -> float:
+        """The same with it in force."""
+        return float(abs(self.raw.result.proof.after_um).max())
+
+    @property
+    def good(self) -> bool:
+        """Proven an improvement, or none is needed."""
+        return self.raw.result.good or self.raw.result.needless
+
+    @property
+    def records(self) -> Records:
+        """Of the strokes."""
+        return self.raw.result.records
+
+    @property
+    def sentence(self) -> str:
+        """The amount, its shape, and the proof."""
+        proof = f"{self.before_um:.2f} → {self.after_um:.2f} µm at worst"
+        kept = "stored" if self.stored else "not stored"
+        return f"lost motion of {self.axis.name}: {self.amount_um:.2f} µm as {self.shape}, {proof}, {kept}"
+
+    def form(self) -> Mapping[str, Any]:
+        """As `hil lost-motion --json`."""
+        from hil.lost_motion.job import form  # noqa: PLC0415  (loads slowly)
+
+        return form(self.axis, self.raw, stored=self.stored)
+
+    def _page(self) -> str:
+        from hil.lost_motion.job import report_html  # noqa: PLC0415  (plots are slow to import)
+
+        return report_html(self.axis, self.raw, str(self.axis.tables_path) if self.stored else "nothing")
+
+
+@dataclass(frozen=True, repr=False)
+class LoopResult(MeasuredResult):
+    """A closed loop. raw: as the procedure returns it; stages: the figures of each, in the order of time; explained: its verdict."""
+
+    axis: AxisConfig
+    raw: Loop
+    stages: Mapping[str, Mapping[str, Any]]
+    explained: bool
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Ids of the effects that were found."""
+        return tuple(one.effect for one in self.raw.turn.diagnosis.findings)
+
+    @cached_property
+    def before(self) -> ErrorFigures:
+        """Explored, with the table alone."""
+        return ErrorFigures.of(self.raw.turn.before)
+
+    @cached_property
+    def after(self) -> ErrorFigures:
+        """Explored again, with what was found."""
+        return ErrorFigures.of(self.raw.turn.after)
+
+    @property
+    def good(self) -> bool:
+        """Everything is explained, and the axis measured no worse than before."""
+        return self.explained
+
+    @property
+    def records(self) -> Records:
+        """Of the exploration with what was found."""
+        return self.raw.turn.after
+
+    @property
+    def sentence(self) -> str:
+        """The peak before and after, and the effects."""
+        found = ", ".join(self.effects) or "nothing"
+        peaks = f"peak {self.before.peak_um:.2f} → {self.after.peak_um:.2f} µm"
+        return f"loop of {self.axis.name}: {peaks}, found {found}"
+
+    def form(self) -> Mapping[str, Any]:
+        """The stages and the diagnosis, as `hil close-loop --json`."""
+        diagnosis = self.raw.turn.follow.to_json()
+        return {"axis": self.axis.name, "good": self.good, "stages": self.stages, "diagnosis": diagnosis}
+
+    def _page(self) -> str:
+        from hil.diagnosis.loop.report import loop_report  # noqa: PLC0415  (plots are slow to import)
+
+        return loop_report(self.axis, self.raw)
+
+
+@dataclass(frozen=True, repr=False)
+class ParameterComparison(Result):
+    """A drive compared with a set. raw: as the procedure returns it."""
+
+    raw: Comparison
+
+    @property
+    def good(self) -> bool:
+        """The drive holds the set."""
+        return self.raw.same
+
+    @property
+    def differing(self) -> dict[str, tuple[object, object]]:
+        """By address what the drive holds and what the set wants."""
+        return {row.address: (row.held, row.wanted) for row in self.raw.rows if row.side.name != "SAME"}
+
+    @property
+    def sentence(self) -> str:
+        """Whether it does, else why not."""
+        why = self.raw.error or "; ".join(map(str, self.raw.objections)) or f"{len(self.differing)} differ"
+        return f"parameters of {self.axis.name}: {'as the set' if self.good else why}"
+
+    def form(self) -> Mapping[str, Any]:
+        """What differs."""
+        return {"axis": self.axis.name, "same": self.good, "differing": self.differing}
+
+
+@dataclass(frozen=True, repr=False)
+class ParameterWriting(Result):
+    """A set that was written, stored or put back, all or nothing. raw: as the procedure returns it."""
+
+    raw: JobReport
+
+    @property
+    def good(self) -> bool:
+        """The drive holds what was asked for."""
+        return self.raw.good
+
+    @property
+    def sentence(self) -> str:
+        """How it ended, and why where it failed."""
+        why = "; ".join(filter(None, (self.raw.error, *map(str, self.raw.objections))))
+        return f"parameters of {self.axis.name}: {self.raw.ending.value}{f': {why}' if why else ''}"
+
+    def form(self) -> Mapping[str, Any]:
+        """How it ended."""
+        return {"axis": self.axis.name, "good": self.good, "ending": self.raw.ending.name}

@@ -1,0 +1,84 @@
+"""Rows of a measurement as columns, for scripts: to CSV, pandas or Polars."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.errors import InputError
+from drivers.files import replace_file
+from hil.records.rows import Floats, Records, to_csv
+from hil.script.reading import AxisReading
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Columns by name, each of shape (n,), as the record format names them."""
+
+    columns: Mapping[str, Floats]
+
+    @classmethod
+    def of(cls, readings: Iterable[AxisReading], run: int = 1) -> Rows:
+        """Rows of readings, for `hil diagnose`. Raises InputError for a reading without a target or without the instrument's position:
+        both are there after `home()` and `move_to()`."""
+        rows = [_row(one, run) for one in readings]
+        if not rows:
+            raise InputError("there are no readings, expected at least one")
+        names = [name for name in rows[0] if all(row.get(name) is not None for row in rows)]
+        return cls({name: np.array([row[name] for row in rows], dtype=np.float64) for name in names})
+
+    @classmethod
+    def from_lists(cls, **columns: Sequence[float]) -> Rows:
+        """Rows of columns given by name, all of one length."""
+        return cls({name: np.array(values, dtype=np.float64) for name, values in columns.items()})
+
+    def __len__(self) -> int:
+        return len(next(iter(self.columns.values()), ()))
+
+    def __getitem__(self, name: str) -> Floats:
+        return self.columns[name]
+
+    def __iter__(self) -> Iterator[dict[str, float]]:
+        for index in range(len(self)):
+            yield {name: float(values[index]) for name, values in self.columns.items()}
+
+    def __repr__(self) -> str:
+        return f"<{len(self)} rows of {', '.join(self.columns)}>"
+
+    def __add__(self, other: Rows) -> Rows:
+        names = [name for name in self.columns if name in other.columns]
+        return Rows({name: np.concatenate([self[name], other[name]]) for name in names})
+
+    def save(self, path: str | Path) -> Path:
+        """Write them as CSV in the record format. Raises InputError where a required column is missing."""
+        replace_file(path, to_csv(Records.of(self.columns)).encode())
+        return Path(path)
+
+    def to_pandas(self) -> Any:
+        """A pandas.DataFrame; pandas has to be installed."""
+        return import_module("pandas").DataFrame(dict(self.columns))
+
+    def to_polars(self) -> Any:
+        """A polars.DataFrame; Polars has to be installed."""
+        return import_module("polars").DataFrame(dict(self.columns))
+
+
+def _row(one: AxisReading, run: int) -> dict[str, float | None]:
+    if one.instrument_mm is None or one.target_mm is None:
+        missing = "position of the instrument" if one.instrument_mm is None else "target"
+        raise InputError(f"a reading has no {missing}, expected home() and move_to() before it")
+    return {
+        "run": run,
+        "direction": one.direction,
+        "target_mm": one.target_mm,
+        "measured_mm": one.instrument_mm,
+        "command_mm": one.command_mm,
+        "time_s": one.time_s,
+        "motor_mm": one.motor_mm,
+        "torque_percent": one.torque_percent,
+    }

@@ -1,0 +1,308 @@
+"""`import hil` as a script uses it: the same jobs, files and safety as the verbs, in simulated time on the bench."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from study import api_page
+from support import bench_axis
+from support.modbus_parameters import NEW, OLD, FortyFace, write_map
+from support.two_axes import lay_out_axes
+
+import hil
+from drivers.clock import WallClock
+from drivers.drive import DriveState
+from hil.app.terminal.main import main
+from hil.examples import creep
+from hil.records.rows import read_csv
+from sim_backends.modbus_drive import tcp_server
+from sim_backends.modbus_registers import Bank, Cell, Space
+
+ROOT = Path(__file__).parents[4]
+SHORT = {"targets_mm": [10.0, 60.0, 110.0], "runs": 2, "dwell_s": 0.1, "reading_s": 0.1}
+
+
+@pytest.fixture
+def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for name, value in bench_axis.PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    return bench_axis.lay_out(tmp_path / "X")
+
+
+def enabled(axis: hil.Axis) -> bool:
+    return axis.read().state == DriveState.ENABLED.value
+
+
+def test_positions_with_motor_and_instrument_become_rows_for_the_diagnosis(path: Path, tmp_path: Path) -> None:
+    with hil.open(path) as axis:
+        assert not enabled(axis)
+        assert axis.read().instrument_mm is None, "no datum yet"
+        axis.home()
+        readings = []
+        for target_mm in (50.0, 100.0, 20.0):
+            axis.move_to(target_mm)
+            readings.append(axis.read())
+        rows = hil.Rows.of(readings) + hil.Rows.of(axis.watch(0.5), run=2)
+        axis.disable()
+        assert not enabled(axis)
+    assert [one.motor_mm for one in readings] == pytest.approx([50.0, 100.0, 20.0], abs=1e-3)
+    assert [one.direction for one in readings] == [1, 1, -1]
+    assert all(0.0 < abs(one.instrument_mm - one.motor_mm) < 0.03 for one in readings if one.instrument_mm), (
+        "its errors"
+    )
+    back = read_csv(rows.save(tmp_path / "rows.csv"))
+    assert back.runs == [1, 2]
+    assert list(back.direction[:3]) == [1, 1, -1]
+    assert len(back) == 3 + 10, "one row each 50 ms"
+
+
+def test_the_figures_are_those_of_the_verbs(path: Path, tmp_path: Path) -> None:
+    other = bench_axis.lay_out(tmp_path / "by-verb")
+    for verb in ("calibrate", "verify"):
+        more = ["--without-proof"] if verb == "calibrate" else []
+        assert main([verb, str(other), "--json", str(tmp_path / f"{verb}.json"), *more]) == 0
+    by_verb = [json.loads((tmp_path / f"{verb}.json").read_text()) for verb in ("calibrate", "verify")]
+    with hil.open(path) as axis:
+        calibrated = axis.calibrate()
+        axis.home(corrected=True)
+        axis.move_to(100.0)
+        assert axis.read().command_mm != 100.0
+    with hil.open(path) as axis:  # the bench starts anew, as for a verb
+        verified = axis.verify()
+    assert calibrated.before.rms_um == by_verb[0]["before"]["rms_um"]
+    assert calibrated.after.peak_um == by_verb[0]["rounds"][-1]["peak_um"]
+    assert verified.figures.rms_um == by_verb[1]["rms_um"]
+    assert verified.A_um == by_verb[1]["accuracy"]["A_um"]
+    assert verified.good
+    assert len(verified.rows) == len(read_csv(other.parent / "X-campaign/verify-001/verify.csv"))
+    saved = json.loads(verified.save().read_text())
+    assert saved["rms_um"] == by_verb[1]["rms_um"]
+    assert "<html" in verified.report(tmp_path / "verified.html").read_text(encoding="utf-8")
+    assert "A = " in repr(verified)
+    assert len(repr(verified)) < 120
+    assert "<svg" in verified._repr_html_()
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"runs": 0}, "runs"),
+        ({"targets_mm": [10.0, 9000.0]}, "leaves the travel"),
+        ({"velocity_mm_s": 1e6}, "velocity_mm_s"),
+        ({"dwell_s": -1.0}, "dwell_s"),
+    ],
+)
+def test_values_of_a_call_are_checked_as_those_of_the_file(path: Path, values: dict[str, float], words: str) -> None:
+    with hil.open(path) as axis:
+        with pytest.raises(hil.InputError, match=words):
+            axis.verify(corrected=False, **values)  # type: ignore[arg-type]
+        assert not enabled(axis)
+    assert not list(path.parent.glob("X-campaign/uncorrected-*"))
+
+
+def test_nothing_moves_outside_the_limits_or_without_a_zero(path: Path) -> None:
+    with hil.open(path) as axis:
+        with pytest.raises(hil.StateError, match="not homed, expected home"):
+            axis.move_to(10.0)
+        assert not enabled(axis)
+        axis.home()
+        before = axis.read().motor_mm
+        for target_mm in (502.5, -2.5, 9000.0):
+            with pytest.raises(hil.LimitError):
+                axis.move_to(target_mm)
+        with pytest.raises(hil.LimitError):
+            axis.stream([before, before - 1000.0], 0.01)
+        assert not enabled(axis), "stopped"
+        assert axis.read().motor_mm == pytest.approx(before, abs=1e-3)
+    with pytest.raises(hil.StateError, match="is not open"):
+        axis.read()
+
+
+def test_ctrl_c_stops_the_axis_keeps_the_rows_and_the_job_goes_on(path: Path) -> None:
+    seen: list[hil.Event] = []
+
+    def pressed(event: hil.Event) -> None:
+        seen.append(event)
+        if event.done == 5:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt), hil.open(path, on_event=pressed) as axis:
+        axis.verify(corrected=False, **SHORT)  # type: ignore[arg-type]
+    (kept,) = path.parent.glob("X-campaign/uncorrected-*/uncorrected.csv")
+    first = read_csv(kept).measured_mm[:5]
+    with hil.open(path) as axis:
+        assert not enabled(axis)
+        whole = axis.verify(corrected=False, resume=True, **SHORT)  # type: ignore[arg-type]
+    assert list(whole.rows["measured_mm"][:5]) == list(first)
+    assert len(whole.rows) == 2 * 2 * 2
+
+
+def test_an_error_of_the_script_stops_and_disables(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stops: list[str] = []
+
+    def goes_wrong() -> None:
+        with hil.open(path) as axis:
+            axis.home()
+            drive = axis._require().drive
+            quick_stop, disable = drive.quick_stop, drive.disable
+            monkeypatch.setattr(drive, "quick_stop", lambda: (stops.append("stop"), quick_stop()))
+            monkeypatch.setattr(drive, "disable", lambda: (stops.append("off"), disable()))
+            raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError):
+        goes_wrong()
+    assert stops[:2] == ["stop", "off"]
+
+
+def test_a_stream_follows_its_set_points(path: Path) -> None:
+    path.write_text(path.read_text().replace('backend = "bench"', 'backend = "bench"\nface = "canopen"'))
+    positions = [20.0 + 0.5 * (1.0 - np.cos(np.pi * k / 100)) for k in range(101)]
+    with hil.open(path) as axis:
+        axis.home()
+        axis.move_to(20.0)
+        rows = axis.stream(positions, 0.01)
+        assert axis.read().motor_mm == pytest.approx(21.0, abs=0.01)
+    assert list(rows["target_mm"]) == positions
+    assert np.max(np.abs(rows["motor_mm"] - rows["target_mm"])) < 0.5
+
+
+def test_the_other_jobs(path: Path, tmp_path: Path) -> None:
+    with hil.open(path) as axis:
+        assert [check.name for check in axis.doctor(move=False).checks][:2] == ["drive", "limits"]
+        found = axis.backlash(steps=60, step_um=0.5)
+        assert found.lost_motion_um == pytest.approx(6.0, abs=1.0), "the bench's lost motion"
+        assert set(found.rows.columns) == {"run", "direction", "motor_mm", "torque_percent"}
+        with pytest.raises(hil.CapabilityError, match="not certified"):
+            found.certificate(tmp_path / "no.pdf")
+        assert "<html" in found.report(tmp_path / "backlash.html").read_text(encoding="utf-8")
+
+
+def test_two_axes_move_on_one_clock(tmp_path: Path) -> None:
+    x, y = lay_out_axes(tmp_path)[:2]
+    with hil.open_axes(x, y) as (first, second):
+        for axis, target_mm in ((first, 30.0), (second, 40.0)):
+            axis.home()
+            axis.move_to(target_mm)
+        assert [first.read().motor_mm, second.read().motor_mm] == pytest.approx([30.0, 40.0], abs=1e-3)
+        with pytest.raises(hil.CapabilityError, match="open it alone"):
+            first.parameters.backup()
+    with pytest.raises(hil.StateError, match="not open"):
+        first.read()
+
+
+class Face(FortyFace):
+    """With a position, so that it can be connected."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.banks = {**self.banks, Space.INPUT_REGISTERS: Bank([Cell(0, "h", lambda: 0)], gaps_readable=False)}
+
+
+@pytest.fixture
+def modbus(tmp_path: Path) -> Iterator[tuple[Path, Face]]:
+    face = Face()
+    write_map(tmp_path)
+    axis = bench_axis.AXIS.replace("1_000_000", "500")
+    with tcp_server({7: face}, WallClock()) as (_, port):
+        path = tmp_path / "X.toml"
+        drive = f'backend = "modbus"\nregister_map = "forty.toml"\nurl = "tcp://127.0.0.1:{port}"\nunit = 7\n'
+        path.write_text(f"{axis}\n[drive]\n{drive}")
+        yield path, face
+
+
+def test_a_parameter_is_changed_proven_kept_and_put_back(modbus: tuple[Path, Face]) -> None:
+    path, face = modbus
+    old, new = (entries.entries[0].raw for entries in (OLD, NEW))
+    assert isinstance(new, int)
+    with hil.open(path) as axis:
+        parameters = axis.parameters
+        backup = parameters.backup(path.with_name("before.toml"))
+        assert parameters.diff(backup).good
+        assert parameters.diff({"p0": new}).differing == {"p0": (old, new)}
+        assert parameters.download({"p0": new}).good
+        assert parameters.verify({"p0": new}).good
+        assert parameters.store({"p0": new}).good
+        assert (face.ram[0], face.flash[0]) == (new, new)
+        refused = parameters.download({"p0": new, "p99": 1})
+        assert not refused.good
+        assert "p99" in refused.sentence
+        assert parameters.restore().good
+        assert face.ram[0] == old
+        with pytest.raises(hil.CapabilityError, match="no instrument"):
+            axis.calibrate()
+
+
+def test_rows_become_frames_where_those_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = SimpleNamespace(DataFrame=lambda columns: {name: values.tolist() for name, values in columns.items()})
+    rows = hil.Rows.from_lists(target_mm=[1.0, 2.0], motor_mm=[1.5, 2.5])
+    for name, call in (("pandas", rows.to_pandas), ("polars", rows.to_polars)):
+        monkeypatch.setitem(sys.modules, name, made)  # type: ignore[arg-type]
+        assert call() == {"target_mm": [1.0, 2.0], "motor_mm": [1.5, 2.5]}
+    assert list(rows)[1] == {"target_mm": 2.0, "motor_mm": 2.5}
+
+
+SCRIPT = """
+import hil
+def main(path: str) -> float | None:
+    with hil.open(path) as axis:
+        axis.home()
+        rows: list[hil.AxisReading] = []
+        for place in range(10):
+            axis.move_to(10.0 * place + 10.0)
+            rows.append(axis.read())
+        hil.Rows.of(rows).save("rows.csv")
+        axis.parameters.download({"6072h": 900})
+        try:
+            return axis.verify(runs=2).A_um
+        except hil.UnprovenError as error:
+            print(error)
+    return None
+"""
+
+
+@pytest.mark.outside
+def test_a_script_is_checked_strictly_from_outside(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    words = [sys.executable, "-m", "mypy", "--strict", "--config-file", "", "--cache-dir", str(tmp_path / "cache")]
+    answer = subprocess.run([*words, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stdout
+    wrong = SCRIPT.replace("axis.read()", "axis.raed()").replace("runs=2", "runs='2'").replace("hil.Rows", "hil.Rwos")
+    (tmp_path / "script.py").write_text(wrong)
+    answer = subprocess.run([*words, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert answer.stdout.count(": error:") >= 3, answer.stdout
+
+
+@pytest.mark.outside
+@pytest.mark.parametrize(
+    ("use", "unused"),
+    [
+        ("pass", {"numpy", "scipy", "canopen", "drivers.errors"}),
+        ("hil.open(path)", {"scipy", "matplotlib", "nicegui", "canopen", "pymodbus", "hil.machine.wiring"}),
+        ("hil.open(path).__enter__().read()", {"scipy", "matplotlib", "nicegui", "hil.diagnosis"}),
+    ],
+)
+def test_an_import_loads_what_is_used(path: Path, use: str, unused: set[str]) -> None:
+    code = f"import sys, hil; path = sys.argv[1]; {use}; print(*sys.modules)"
+    words = [sys.executable, "-c", code, str(path)]
+    answer = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert not set(answer.stdout.split()) & unused
+
+
+def test_the_page_of_the_names_is_as_they_are() -> None:
+    assert api_page.PAGE.read_text(encoding="utf-8") == api_page.text(), "python tests/study/api_page.py writes it"
+
+
+def test_creep_after_a_stop_becomes_rows_that_the_diagnosis_takes(path: Path, tmp_path: Path) -> None:
+    assert creep.main(str(path), str(tmp_path / "creep.csv")) == 0
+    rows = read_csv(tmp_path / "creep.csv")
+    assert rows.runs == [1, 2, 3, 4, 5]
+    assert set(rows.direction[rows.run == 2]) == {-1.0}
+    assert main(["diagnose", str(tmp_path / "creep.csv"), "--json", str(tmp_path / "found.json")]) in (0, 1)
+    assert "findings" in json.loads((tmp_path / "found.json").read_text())
