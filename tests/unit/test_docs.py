@@ -122,8 +122,8 @@ def test_the_axis_files_that_the_pages_show_are_read(tmp_path: Path) -> None:
 
 
 def test_the_commands_that_prove_a_figure_exist() -> None:
-    text = text_of("proven") + text_of("diagnosis") + text_of("house") + text_of("faults")
-    scripts = re.findall(r"`python (tests/study/\w+(?:\.py)?)[^`]*`", text)
+    text = text_of("proven") + text_of("diagnosis_lots") + text_of("diagnosis") + text_of("house") + text_of("faults")
+    scripts = re.findall(r"`python (tests/study/[\w/]+(?:\.py)?)[^`]*`", text)
     tests = re.findall(r"`pytest [^`]*?(tests/[\w/]+\.py)[^`]*`", text)
     modules = re.findall(r"python -m (study\.\w+)", text)
     assert len(scripts) > 10
