@@ -22,7 +22,7 @@ from drivers.toml_schema import Document
 from drivers.toml_types import Key, Limits, SchemaError, Text, Via, not_empty
 
 
-class Wire(Enum):
+class DriveWire(Enum):
     """What the drive is reached by."""
 
     CANOPEN = "CANopen"
@@ -97,7 +97,7 @@ class _Head:
     """[drive]"""
 
     name: Text
-    wire: Wire
+    wire: DriveWire
     description: Text
     maker: Text
     source: Text

@@ -8,10 +8,9 @@ from collections.abc import Sequence
 from drivers.clock import NS_PER_S
 
 STILL_S = 0.2
-"""An axis whose positions agree for this long is at rest, whatever its drive shows, s. A drive that shows arrivals has done so by
-then."""
+"""An axis whose positions agree for this long is at rest, whatever its drive shows, s."""
 AGREED_S = 0.02
-"""The same where a drive without an arrival status shows a velocity of 0, s: its value may be stuck."""
+"""The same where a drive shows a velocity of 0, s: its value may be stuck."""
 STILL_MM = 0.005
 """Window of the positions of an axis at rest, mm: 0.025 mm/s over `STILL_S`, 0.25 mm/s over `AGREED_S`."""
 ARRIVED_WITHIN_MM = 0.1
@@ -57,9 +56,8 @@ class FrozenValues:
 class Standstill:
     """Standstill of one axis. count_mm: resolution of the drive, mm; an encoder at rest may alternate between two counts.
 
-    An arrival shown by the drive counts once two samples agree with it. Positions count by themselves when they stay within a
-    window, and within a wider one where the velocity is low all the time. A velocity in other units, or an arrival that a drive
-    forgets or shows late, is thus never the only evidence.
+    Positions count by themselves when they stay within a window, and within a wider one where the velocity is low all the time. A
+    velocity in other units is thus never the only evidence, nor is an arrival that a drive shows.
     """
 
     def __init__(self, count_mm: float) -> None:
@@ -72,24 +70,15 @@ class Standstill:
         return abs(velocity_mm_s) <= STILL_MM_S
 
     def look(
-        self,
-        time_ns: int,
-        position_mm: float,
-        velocity_mm_s: float | None = None,
-        *,
-        reached: bool | None = None,
-        still_s: float = STILL_S,
+        self, time_ns: int, position_mm: float, velocity_mm_s: float | None = None, *, still_s: float = STILL_S
     ) -> bool:
-        """True when the axis is at rest (ns, mm, mm/s). velocity_mm_s: None where none is shown. reached: the drive's arrival status,
-        None where it has none; still_s: for how long positions have to agree where they are the only evidence, s."""
+        """True when the axis is at rest (ns, mm, mm/s). velocity_mm_s: None where none is shown. still_s: for how long positions have
+        to agree where they are the only evidence, s."""
         looks = self._looks
         looks.append((time_ns, position_mm, velocity_mm_s))
         while len(looks) > 2 and time_ns - looks[1][0] >= still_s * NS_PER_S:
             looks.popleft()
-        last = list(looks)[-2:]
-        if reached and len(last) == 2 and all(v is None or self.is_slow(v) for _, _, v in last) and self._agree(last):
-            return True
-        if reached is None and velocity_mm_s == 0.0 and self._stays(AGREED_S):
+        if velocity_mm_s == 0.0 and self._stays(AGREED_S):
             return True
         if self._stays(still_s):
             return True

@@ -18,10 +18,13 @@ from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
 from drivers.canopen.homing import Homing
 from drivers.canopen.identity import Identity, read_identity, stores_on_command
-from drivers.canopen.motion import ProfileMotion
+from drivers.canopen.kept_settings import KeptSettings
+from drivers.canopen.modes import OperationModes
+from drivers.canopen.motion import MotionParts, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import NmtState, error_text
 from drivers.canopen.objects import Entry
+from drivers.canopen.own_limits import OwnLimits
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.power import PowerStage
@@ -92,6 +95,7 @@ class CanOpenDrive(StoppableNode):
         self.power = PowerStage(self.sdo, self.clock, self.settings.power, self.way_out)
         self.sampler = Sampler(self.node, self.settings.sample_timeout_s)
         self._stream_axis = None
+        self.notes = []
         self.connection = Connection(self.node, self.settings)
         try:
             self.link.listen()
@@ -114,19 +118,19 @@ class CanOpenDrive(StoppableNode):
                 else self.node.eds.maker(self.identity.vendor_id),
             )
             self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
+            self.kept = KeptSettings(self.sdo)
+            self.modes = OperationModes(self.sdo, self.kept, self.clock, settings.mode_timeout_s)
+            self.modes.find(settings.modes, self.notes)
+            self.own_limits = OwnLimits(self.sdo, self.kept, self.units, self._highest, self.notes)
             self.motion = ProfileMotion(
-                self.sdo,
-                self.power,
-                self.sampler,
+                MotionParts(
+                    self.sdo, self.power, self.sampler, self.kept, self.modes, self.own_limits, self.units, self.notes
+                ),
                 self.clock,
-                handshake_s=self.settings.handshake_timeout_s,
-                mode_s=self.settings.mode_timeout_s,
+                handshake_s=settings.handshake_timeout_s,
                 strays=round(STRAYS_MM * self.scaling.counts_per_load_mm),
-                units=self.units,
-                modes=settings.modes,
-                highest=self._highest,
             )
-            self.homing = Homing(self.sdo, self.power, self.motion)
+            self.homing = Homing(self.sdo, self.power, self.motion, self.kept)
             self._has_probe = self.sdo.read_if_shown(objects.PROBE_FUNCTION, None) is not None
             self._stores = stores_on_command(self.sdo)
             self._note_ramps()
@@ -137,12 +141,10 @@ class CanOpenDrive(StoppableNode):
                     )
                 self.notes += self.node.eds.doubts(self.identity.vendor_id or None, self.identity.product_code or None)
                 self.notes += [f"the maker's file (eds): {note}" for note in summary(self.node.eds.notes)]
-            self.motion.note_limits(self.limits.max_velocity_mm_s, self.limits.max_acceleration_mm_s2)
+            self.own_limits.note(self.limits.max_velocity_mm_s, self.limits.max_acceleration_mm_s2)
             self._set_up()
             self.notes += self.connection.notes
-            self.notes += self.motion.notes
             self._note_modes()
-            self.motion.notes = self.notes  # what is found while it moves is added
             self._open = True
             self.sample()
         except BaseException as error:
@@ -177,11 +179,11 @@ class CanOpenDrive(StoppableNode):
 
     def _note_modes(self) -> None:
         """What stands in for a mode that the drive lacks."""
-        motion, mode = self.motion, self.motion.streaming_mode
+        mode = self.modes.streaming
         if mode is None:
             return
         named = mode.name.lower().replace("_", " ")
-        if not motion.supports(Mode.PROFILE_POSITION):
+        if not self.modes.has(Mode.PROFILE_POSITION):
             self.notes.append(
                 f"drive {self.name} has no profile position: it is moved by set-points ({named}), one with every second sample, and"
                 " holds the last one when none comes"
@@ -213,7 +215,7 @@ class CanOpenDrive(StoppableNode):
     def _put_back(self, left: Left) -> None:
         """Mode, speeds, ramps of a disabled axis, and the communication."""
         self.sdo.read(objects.STATUSWORD)  # without an answer each setting would cost a time-out of its own
-        steps = [("", self.motion.put_back)] if left is Left.OFF else []
+        steps = [("", self.kept.put_back)] if left is Left.OFF else []
         communication = partial(self.connection.put_back, unwatched=left is not Left.UNKNOWN)
         undo_all([*steps, ("", communication)])
 
@@ -236,11 +238,11 @@ class CanOpenDrive(StoppableNode):
         """From 6502h and from the objects that answered; known once open."""
         self._require_open()
         found = {Capability.PARAMETERS}
-        if self.motion.supports(Mode.HOMING):
+        if self.modes.has(Mode.HOMING):
             found.add(Capability.HOMING)
-        if self.motion.supports(Mode.PROFILE_POSITION) or self.motion.streaming_mode is not None:
+        if self.modes.has(Mode.PROFILE_POSITION) or self.modes.streaming is not None:
             found.add(Capability.PROFILE_POSITION)
-        if self.motion.streaming_mode is not None and not self.connection.no_stream:
+        if self.modes.streaming is not None and not self.connection.no_stream:
             found.add(Capability.STREAMING)
         if objects.TORQUE_ACTUAL in self.sampler.specs[0].entries:
             found.add(Capability.TORQUE_ACTUAL)
@@ -279,7 +281,7 @@ class CanOpenDrive(StoppableNode):
         self._require_open()
         asked, sdo, identity = self.settings.homing, self.sdo, self.identity
         method, home_mm = asked.method, asked.home_position_mm
-        if self.motion.supports(Mode.HOMING):
+        if self.modes.has(Mode.HOMING):
             method = sdo.read(objects.HOMING_METHOD) if method is None else method
             home_mm = (
                 self.scaling.load_mm(self.sdo.read_if_shown(objects.HOME_OFFSET, 0)) if home_mm is None else home_mm
@@ -311,11 +313,11 @@ class CanOpenDrive(StoppableNode):
     def says_homed(self) -> bool | None:
         """6041h bit 12 in homing mode, which a disabled drive is put into; a drive may have forgotten it with the change of mode."""
         self._require_open()
-        if self.homing.homed is not None or not self.motion.supports(Mode.HOMING):
+        if self.homing.homed is not None or not self.modes.has(Mode.HOMING):
             return self.homing.homed
         if decode_state(self.sdo.read(objects.STATUSWORD)) is DriveState.SWITCH_ON_DISABLED:
             self.set_mode(Mode.HOMING, until_enabled=True)
-            if not self.motion.mode_unseen:
+            if self.modes.is_shown():
                 self.homing.believe(self.sdo.read(objects.STATUSWORD))
         return self.homing.homed
 
@@ -366,7 +368,7 @@ class CanOpenDrive(StoppableNode):
         self.power.stopped = False
         self.way_out.over()
         self._require_units()
-        self.set_mode(self.motion.resting_mode, until_enabled=True)
+        self.set_mode(self.modes.resting, until_enabled=True)
         if self.power.state() is DriveState.QUICK_STOP and self._quick_stop_holds():
             with self._no_motion_after_errors():
                 if not self._comes(self._rests(), self.settings.power.stop_s):
@@ -375,7 +377,7 @@ class CanOpenDrive(StoppableNode):
             return
         try:
             self.power.enable(self.motion.stay)
-            self.motion.see_mode()
+            self.modes.confirm()
         except BaseException as error:
             # a brake that opens later would complete an enabling that was given up
             self._send(Command.DISABLE_VOLTAGE.word)
@@ -393,23 +395,13 @@ class CanOpenDrive(StoppableNode):
         self.homing.under_way = False
         self._require_units()
         velocity = self.units.velocity_units(velocity_mm_s)
-        self.motion.check_velocity(velocity)
+        self.own_limits.check_velocity(velocity)
         with self._no_motion_after_errors():
             self.motion.move(
                 self.scaling.motor_counts(position_load_mm),
                 velocity,
                 self.units.acceleration_units(self.limits.max_acceleration_mm_s2),
             )
-
-    def halt(self) -> None:
-        """Stop with the ramp of 605Dh and hold; `resume` continues the interrupted order."""
-        self._require_enabled("halt")
-        self.motion.halt()
-
-    def resume(self) -> None:
-        """End a halt."""
-        self._require_enabled("resume")
-        self.motion.resume()
 
     # -- homing ----------------------------------------------------------------------------------------------------------
     def _start_homing(self) -> None:

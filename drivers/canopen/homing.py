@@ -19,8 +19,10 @@ from collections.abc import Callable
 
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Control, HomingStatus, Mode, decode_homing
-from drivers.canopen.motion import LEFT_OUT, RUN, ProfileMotion
+from drivers.canopen.kept_settings import KeptSettings
+from drivers.canopen.motion import RUN, ProfileMotion
 from drivers.canopen.objects import Entry
+from drivers.canopen.own_limits import LEFT_OUT
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import HomingSettings
@@ -42,13 +44,14 @@ class Homing:
     under_way: begun, and its end not seen yet. without_bit_10: it has ended and bit 10 was not shown.
     """
 
-    def __init__(self, sdo: SdoClient, power: PowerStage, motion: ProfileMotion) -> None:
+    def __init__(self, sdo: SdoClient, power: PowerStage, motion: ProfileMotion, kept: KeptSettings) -> None:
         self.homed: bool | None = None
         self.under_way = self.without_bit_10 = False
         self._method: int | None = None
         self._sdo = sdo
         self._power = power
         self._motion = motion
+        self._kept = kept
         self._was_low = False  # seen in progress since bit 4 rose
         self._from_counts: int | None = None  # where it began
         self._moved = False  # seen moving since
@@ -66,7 +69,7 @@ class Homing:
             if value is None:
                 continue
             try:
-                self._motion.set(entry, value)
+                self._kept.set(entry, value)
             except AbortError as error:  # one speed may serve the whole homing
                 if entry is not objects.HOMING_SPEED_ZERO or error.code not in LEFT_OUT:
                     raise

@@ -1,80 +1,35 @@
-"""Profile motion in the drive's own units: set-point handshake, halt, mode changes that keep the axis held.
+"""Profile motion in the drive's own units: set-point handshake, moves by set-points, halt.
 
 Holds the mode-specific bits of controlword and statusword, and their objects. Limits and millimetres are in `drive`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 
 from drivers import cia402_words
 from drivers.canopen import objects
 from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
+from drivers.canopen.kept_settings import KeptSettings
+from drivers.canopen.modes import POLL_S, OperationModes
 from drivers.canopen.node import error_text
-from drivers.canopen.objects import Entry
+from drivers.canopen.own_limits import OwnLimits
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.streamed_move import FEED_S, StreamedMove
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import FAULTS, WITHOUT_POWER, DriveState
-from drivers.errors import (
-    AbortError,
-    CapabilityError,
-    DriveFaultError,
-    FollowingErrorError,
-    LimitError,
-    ProtocolError,
-)
+from drivers.drive import FAULTS, DriveState
+from drivers.errors import AbortError, DriveFaultError, FollowingErrorError, LimitError, ProtocolError
 from drivers.scaling import MotionScaling
 from drivers.standstill import Standstill, arrived_within_counts
-from drivers.undo import undo_all
 
-POLL_S = 0.001
 RUN = Command.ENABLE_OPERATION.word
-
-
-def mode_of(shown: int) -> Mode:
-    """The mode of 6061h; manufacturer modes and unknown ones are NONE."""
-    try:
-        return Mode(shown)
-    except ValueError:
-        return Mode.NONE
-
-
-TARGETS = (
-    objects.TARGET_POSITION,
-    objects.TARGET_VELOCITY,
-    objects.TARGET_TORQUE,
-    objects.INTERPOLATION_TARGET,
-)
-"""Set-points; they are never put back."""
-
-
-SAME_SHARE = 1e-3
-"""Share by which a drive's own limit may lie below the axis file's without a note: rounding to its units."""
-TRY_S = 0.05
-"""Time in which a drive at rest shows a mode that it takes, s: five slow control cycles."""
 FREE_S = 0.05
 """Time in which a drive takes bit 12 back once bit 4 has fallen, s: five slow control cycles. The next set-point waits longer."""
-
-
-HOLDING = (0, Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION)
-"""Modes of 6061h in which an axis whose target is its position is enabled safely."""
-OUT_OF_RANGE = (0x06090030, 0x06090031)
-LEFT_OUT = (0x06010002, *OBJECT_MISSING)
-"""Read-only, no such object, no such subindex."""
-TRIED_MODES = (
-    Mode.PROFILE_POSITION,
-    Mode.PROFILE_VELOCITY,
-    Mode.HOMING,
-    Mode.INTERPOLATED_POSITION,
-    Mode.CYCLIC_POSITION,
-)
+BEGUN_S = 0.05
+"""Time in which a drive takes back the arrival of the move before, s: five slow control cycles."""
 
 
 @dataclass(frozen=True)
@@ -86,424 +41,165 @@ class _Way:
     target: int
 
 
-class ProfileMotion:
-    """Motion orders to one open drive. handshake_s and mode_s: longest time for the acknowledgement, s. strays: how far outside its
-    path an axis may be meanwhile, counts. units: of its velocities and accelerations. modes: of 6060h, where the axis file names
-    them. highest: largest value that the maker's file allows for an object, None without one.
+@dataclass
+class _GivenMove:
+    """A set-point that the drive has taken, counts. shown: bit 10 fell at its begin, so that the drive shows its end. judged: bit 11
+    was compared with it."""
 
-    notes: what is used instead of what the drive lacks, one sentence each.
+    target: int
+    shown: bool = True
+    judged: bool = False
+
+
+@dataclass(frozen=True)
+class MotionParts:
+    """What the motions of one open drive are ordered by. units: of its velocities and accelerations; notes: where what is used instead
+    of what it lacks is told, one sentence each."""
+
+    sdo: SdoClient
+    power: PowerStage
+    sampler: Sampler
+    kept: KeptSettings
+    modes: OperationModes
+    limits: OwnLimits
+    units: MotionScaling
+    notes: list[str]
+
+
+class ProfileMotion:
+    """Motion orders to one open drive. handshake_s: longest time for the acknowledgement, s. strays: how far outside its path an axis
+    may be meanwhile, counts.
+
+    A move is given to a drive with profile position and fed to one without it; `_move` is the one in progress.
     """
 
-    def __init__(
-        self,
-        sdo: SdoClient,
-        power: PowerStage,
-        sampler: Sampler,
-        clock: Clock,
-        *,
-        handshake_s: float,
-        mode_s: float,
-        strays: int,
-        units: MotionScaling,
-        modes: Sequence[int] = (),
-        highest: Callable[[Entry], float | None] = lambda _entry: None,
-    ) -> None:
-        self._sdo = sdo
-        self._power = power
-        self._sampler = sampler
+    def __init__(self, parts: MotionParts, clock: Clock, *, handshake_s: float, strays: int) -> None:
+        self._sdo, self._power, self._sampler = parts.sdo, parts.power, parts.sampler
+        self._kept, self._modes, self._limits = parts.kept, parts.modes, parts.limits
+        self._units = parts.units
+        self._notes = parts.notes
         self._clock = clock
         self._handshake_s = handshake_s
-        self._mode_s = mode_s
         self._strays = strays
-        self._written: dict[Entry, int] = {}
-        self._found: dict[Entry, int] = {}  # values of the drive before they were written
-        self._units = units
-        self._highest = highest
-        self._left_out: set[Entry] = set()
-        self._noted: set[tuple[Entry, int]] = set()
-        self._limits: dict[Entry, int] = {}  # of the drive's own, as far as it states them
-        self.notes: list[str] = []
-        self.mode = mode_of(sdo.read(objects.MODE_DISPLAY))
-        self._window = cia402_words.window(sdo.read_if_shown(objects.POSITION_WINDOW, 0)) or 0  # counts
-        self.supported_modes = self._modes(modes)
-        self.halted = False
-        self.mode_unseen = False  # 6061h did not follow 6060h yet
-        self._unshown: int | None = None  # target of a move whose begin did not clear bit 10
-        self._streamed: StreamedMove | None = None  # of a drive without profile position
-        self._going: tuple[int, ...] = ()  # target of the move in progress
-        self._judged = False  # bit 11 was compared with it
-
-    def supports(self, mode: Mode) -> bool:
-        """Whether 6502h lists the mode."""
-        return bool(self.supported_modes & mode.supported_bit)
+        window_counts = cia402_words.window(self._sdo.read_if_shown(objects.POSITION_WINDOW, 0)) or 0
+        self._near_counts = arrived_within_counts(self._units.scaling.counts_per_load_mm, window_counts)
+        self._move: _GivenMove | StreamedMove | None = None
 
     # -- modes -----------------------------------------------------------------------------------------------------------
-    def _modes(self, named: Sequence[int]) -> int:
-        """6502h, else the modes that the axis file names, else those that the drive takes at standstill; as bits of 6502h."""
-        told = self._sdo.read_if_shown(objects.SUPPORTED_MODES, 0)
-        if told:
-            return told
-        if named:
-            return sum(1 << (mode - 1) for mode in set(named) if mode > 0)
-        found = self._tried_modes()
-        names = ", ".join(mode.name.lower().replace("_", " ") for mode in found) or "none"
-        how = "by trial at standstill" if found else "and it took none at standstill"
-        self.notes.append(f"{self._sdo.name} does not say its modes (6502h); {how}: {names}")
-        return sum(mode.supported_bit for mode in found)
-
-    def _tried_modes(self) -> list[Mode]:
-        """Modes that 6061h shows once they are written to 6060h. An axis under power is not tried with: it has the present mode."""
-        if not 0 <= self._sdo.read_if_shown(objects.MODE, self.mode) <= max(Mode):
-            return []  # a maker's own mode could perhaps not be put back
-        if not self._is_off():
-            return [self.mode] if self.mode is not Mode.NONE else []
-        found: list[Mode] = []
-        try:
-            for mode in TRIED_MODES:
-                try:
-                    self._remember(objects.MODE)
-                    self._sdo.write(objects.MODE, mode)
-                except AbortError:
-                    continue
-                if self._shown_mode(mode, TRY_S) == mode:
-                    found.append(mode)
-        finally:
-            undo_all([("", self.put_back)])
-        return found
-
-    def _shown_mode(self, mode: Mode, within_s: float) -> int:
-        deadline = self._clock.deadline(within_s)
-        while (shown := self._sdo.read(objects.MODE_DISPLAY)) != mode and not deadline.expired:
-            self._clock.sleep_s(POLL_S)
-        return shown
-
     def set_mode(self, mode: Mode, *, until_enabled: bool = False) -> None:
-        """Change the mode of operation and see it confirmed (6061h); the controlword is not written, so the axis stays held.
-        until_enabled: a drive without power may show it later, see `see_mode`.
+        """Change the mode of operation; the controlword is not written, so the axis stays held. until_enabled: see
+        `OperationModes.change`.
 
-        Set-points of the new mode are first made to mean "stay". Raises CapabilityError for a mode that 6502h does not list,
-        ProtocolError when the drive does not follow.
+        Set-points of the new mode are first made to mean "stay". Raises CapabilityError for a mode that the drive does not have,
+        ProtocolError when it does not follow.
         """
-        if not self.supports(mode):
-            raise CapabilityError(
-                f"{self._sdo.name} has no mode {mode.name.lower()} (6502h is {self.supported_modes:X}h)"
-            )
-        if self.mode is mode:
+        self._modes.require(mode)
+        if self._modes.mode is mode:
             return
         if mode not in (Mode.PROFILE_POSITION, Mode.HOMING):
             self.stay()
-        self._remember(objects.MODE)
-        self._going, self._streamed, self._unshown = (), None, None
-        self._sdo.write(objects.MODE, mode)
-        shown = self._shown_mode(mode, self._mode_s)
-        self.mode_unseen = shown != mode
-        if self.mode_unseen and not (until_enabled and shown in HOLDING and self._is_off()):
-            self.mode_unseen = False
-            raise self._not_followed(mode, shown)
-        self.mode = mode
-
-    def see_mode(self) -> None:
-        """Make sure of a mode that was not shown while the drive was off: some show it once they are enabled.
-
-        Raises ProtocolError."""
-        if self.mode_unseen:
-            shown = self._shown_mode(self.mode, self._mode_s)
-            if shown != self.mode:
-                raise self._not_followed(self.mode, shown)
-            self.mode_unseen = False
-
-    def _is_off(self) -> bool:
-        """Whether the drive is without power for another reason than a fault."""
-        state = decode_state(self._sdo.read(objects.STATUSWORD))
-        return state in WITHOUT_POWER and state not in FAULTS
-
-    def _not_followed(self, mode: Mode, shown: int) -> ProtocolError:
-        return ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
-
-    @property
-    def streaming_mode(self) -> Mode | None:
-        """The mode of set-point streams: cyclic synchronous position, else interpolated position; None without either."""
-        for mode in (Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION):
-            if self.supports(mode):
-                return mode
-        return None
-
-    @property
-    def resting_mode(self) -> Mode:
-        """The mode in which an axis is enabled and held: profile position, else one by set-points.
-
-        Raises CapabilityError for a drive without any of them."""
-        for mode in (Mode.PROFILE_POSITION, Mode.CYCLIC_POSITION, Mode.INTERPOLATED_POSITION):
-            if self.supports(mode):
-                return mode
-        raise CapabilityError(
-            f"{self._sdo.name} has no mode that moves an axis here (6502h is {self.supported_modes:X}h)"
-        )
+        self._move = None
+        self._modes.change(mode, until_enabled=until_enabled)
 
     def stay(self) -> None:
         """Write set-points that move nothing: target position := actual position, target velocity and torque := 0."""
-        self._going = ()
-        self._streamed = self._unshown = None
+        self._move = None
+        has, write = self._modes.has, self._kept.set
         here = self._sdo.read(objects.POSITION_ACTUAL)
-        if self.supports(Mode.PROFILE_POSITION) or self.supports(Mode.CYCLIC_POSITION):
-            self.set(objects.TARGET_POSITION, here, always=True)
-        if self.supports(Mode.INTERPOLATED_POSITION):
+        if has(Mode.PROFILE_POSITION) or has(Mode.CYCLIC_POSITION):
+            write(objects.TARGET_POSITION, here, always=True)
+        if has(Mode.INTERPOLATED_POSITION):
             with suppress(AbortError):  # some take it in that mode only
-                self.set(objects.INTERPOLATION_TARGET, here, always=True)
-        if self.supports(Mode.PROFILE_VELOCITY) or self.supports(Mode.CYCLIC_VELOCITY):
-            self.set(objects.TARGET_VELOCITY, 0, always=True)
-        if self.supports(Mode.CYCLIC_TORQUE):
-            self.set(objects.TARGET_TORQUE, 0, always=True)
+                write(objects.INTERPOLATION_TARGET, here, always=True)
+        if has(Mode.PROFILE_VELOCITY) or has(Mode.CYCLIC_VELOCITY):
+            write(objects.TARGET_VELOCITY, 0, always=True)
+        if has(Mode.CYCLIC_TORQUE):
+            write(objects.TARGET_TORQUE, 0, always=True)
 
-    def set(self, entry: Entry, value: int, *, always: bool = False) -> None:
-        """Write an object unless it is known to hold the value already. Raises as `SdoClient.write`."""
-        if always or self._written.get(entry) != value:
-            self._written.pop(entry, None)
-            known = entry in self._found
-            self._remember(entry)
-            try:
-                self._sdo.write(entry, value)
-            except AbortError:
-                if not known:  # refused, so there is nothing to put back
-                    self._found.pop(entry, None)
-                raise
-            self._written[entry] = value
-
-    def _remember(self, entry: Entry) -> None:
-        if entry in self._found or entry in TARGETS:
-            return
-        try:
-            self._found[entry] = self._sdo.read(entry)
-        except AbortError:
-            if entry is not objects.MODE:
-                raise
-            self._found[entry] = self._sdo.read(objects.MODE_DISPLAY)  # 6060h may be write-only
-
-    def put_back(self) -> None:
-        """Restore mode, speeds and ramps on a disabled axis. Targets are not restored: they would be motion orders."""
-        found = reversed(list(self._found.items()))
-        undo_all([(f"{entry} not put back", partial(self._put_back, entry, value)) for entry, value in found])
-
-    def _put_back(self, entry: Entry, value: int) -> None:
-        if self._written.pop(entry, None) != value:
-            self._sdo.write(entry, value)
-        del self._found[entry]
-        if entry is objects.MODE:
-            self.mode = mode_of(value)
-
-    # -- profile position ------------------------------------------------------------------------------------------------
+    # -- moves -----------------------------------------------------------------------------------------------------------
     def move(self, target: int, velocity: int, acceleration: int) -> None:
         """Give an absolute set-point, counts and the drive's units of velocity and acceleration; returns once it is acknowledged.
 
         It replaces the move in progress. Raises LimitError when the drive limits the target, ProtocolError for a handshake that is not
         acknowledged, FollowingErrorError for an axis that moves elsewhere meanwhile, DriveFaultError.
         """
-        if not self.supports(Mode.PROFILE_POSITION) and self.streaming_mode is not None:
-            self._move_by_set_points(target, velocity, acceleration)
-            return
-        way = self._way(target, velocity, acceleration)
-        self.set_mode(Mode.PROFILE_POSITION)
-        self.set(objects.PROFILE_VELOCITY, velocity)
-        self._set_ramps(acceleration)
-        self.set(objects.TARGET_POSITION, target, always=True)
-        distance, self._unshown, self._judged = abs(target - self._sampler.position_counts), None, False
-        self._hand_over(way)
-        self._going = (target,)
-        self._judge_limit(self._sampler.statusword)
-        if distance > self._near_counts():
-            # a drive may show the arrival of the move before for a cycle or two; one that shows it all the time is not believed
-            fell = self._await_status(lambda status: not status & Status.TARGET_REACHED, 0.05, way)
-            self._unshown = None if fell else target
-
-    # -- limits of the drive -----------------------------------------------------------------------------------------------
-    def _limit(self, entry: Entry) -> int:
-        """A limit that the drive states, in its units; 0 where it states none."""
-        if entry not in self._limits:
-            self._limits[entry] = cia402_words.limit(self._sdo.read_if_shown(entry, 0)) or 0
-        return self._limits[entry]
-
-    def note_limits(self, velocity_mm_s: float, acceleration_mm_s2: float) -> None:
-        """Read the drive's own limits and ramps, and note where they are below the axis file's (mm/s, mm/s²). Nothing is written."""
-        largest = self._limit(objects.MAX_PROFILE_VELOCITY)
-        if largest and self._units.mm_s(largest) < velocity_mm_s * (1 - SAME_SHARE):
-            self.notes.append(
-                f"{self._sdo.name} allows {self._units.mm_s(largest):.4g} mm/s (607Fh), the axis file {velocity_mm_s:g} mm/s:"
-                " faster moves are refused"
-            )
-        for entry, limit in (
-            (objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION),
-            (objects.PROFILE_DECELERATION, objects.MAX_DECELERATION),
-        ):
-            try:
-                self._sdo.read(entry)
-            except AbortError as error:
-                if error.code in LEFT_OUT:
-                    self._leave_out(entry)
-                    continue
-            self._allowed_ramp(entry, limit, self._units.acceleration_units(acceleration_mm_s2))
-
-    def _leave_out(self, entry: Entry) -> None:
-        self._left_out.add(entry)
-        which = "6083h serves both ramps" if entry is objects.PROFILE_DECELERATION else "its own ramp holds"
-        self.notes.append(f"{self._sdo.name} does not take {entry}: {which}")
-
-    def _allowed_ramp(self, entry: Entry, largest: Entry, acceleration: int) -> int:
-        """The ramp that the drive allows, in its units; noted once where that is less."""
-        value = acceleration
-        for limit in (self._limit(largest), self._limits.get(entry, 0), self._highest(entry), entry.type.range[1]):
-            if limit:
-                value = min(value, int(limit))
-        if value < acceleration and (entry, value) not in self._noted:
-            self._noted.add((entry, value))
-            self.notes.append(
-                f"{self._sdo.name} allows {self._units.mm_s2(value):.4g} mm/s² ({entry}) instead of the axis file's"
-                f" {self._units.mm_s2(acceleration):.4g} mm/s²: moves use what it allows"
-            )
-        return value
-
-    def check_velocity(self, velocity: int) -> None:
-        """Raise LimitError for a velocity that the drive would limit in silence (607Fh) or refuse (its maker's file)."""
-        written = objects.PROFILE_VELOCITY if self.mode is not Mode.PROFILE_VELOCITY else objects.TARGET_VELOCITY
-        limits = [
-            (float(self._limit(objects.MAX_PROFILE_VELOCITY)), "607Fh"),
-            (self._highest(written), "its maker's file"),
-            (written.type.range[1], f"{written} holds no more"),
-        ]
-        for limit, source in limits:
-            if limit and velocity > limit:
-                raise LimitError(
-                    f"{self._sdo.name}: {self._units.mm_s(velocity):.4g} mm/s is more than its drive allows,"
-                    f" {self._units.mm_s(limit):.4g} mm/s ({source})"
-                )
-
-    def _set_ramps(self, acceleration: int) -> None:
-        """6083h and 6084h, as far as the drive has them and lets them: a lower limit of its own is respected, and noted."""
-        self._set_ramp(objects.PROFILE_ACCELERATION, objects.MAX_ACCELERATION, acceleration)
-        self._set_ramp(objects.PROFILE_DECELERATION, objects.MAX_DECELERATION, acceleration)
-
-    def _set_ramp(self, entry: Entry, largest: Entry, acceleration: int) -> None:
-        """A ramp as far as the drive takes it: one that it calls out of range is halved until it is taken."""
-        if entry in self._left_out:
-            return
-        lowered = False
-        value = self._limits.get(entry) or self._allowed_ramp(entry, largest, acceleration)
-        value = min(value, acceleration)
-        while True:
-            try:
-                self.set(entry, value)
-                break
-            except AbortError as error:
-                if error.code in LEFT_OUT:
-                    self._leave_out(entry)
-                    return
-                if error.code not in OUT_OF_RANGE or value <= 1:
-                    raise
-                value, lowered = max(1, value // 2), True
-        if lowered:
-            self._limits[entry] = value
-            self._allowed_ramp(entry, largest, acceleration)
-
-    # -- moves by set-points, without profile position -----------------------------------------------------------------------
-    def _move_by_set_points(self, target: int, velocity: int, acceleration: int) -> None:
-        changed = self.mode is not self.resting_mode
-        self.set_mode(self.resting_mode)
-        now_ns = self._clock.now_ns()
-        if self._streamed is None:
-            with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
-                self.set(objects.INTERPOLATION_PERIOD, round(1000 * FEED_S))
-                self.set(objects.INTERPOLATION_EXPONENT, -3)
-            self._streamed = StreamedMove(self._sampler.position_counts, now_ns, self._interpolated_s())
-        counts = self._units
-        self._streamed.go(
-            target, velocity * float(counts.velocity.counts), acceleration * float(counts.acceleration.counts)
-        )
-        if changed or self._power.controlword != self._run_word:
-            self._power.write(RUN)  # in homing mode bit 4 had another meaning
-            self._power.write(self._run_word)
-            self.halted = False
-
-    def _interpolated_s(self) -> float:
-        """60C2h, s, at most `FEED_S`."""
-        value = self._sdo.read_if_shown(objects.INTERPOLATION_PERIOD, 0)
-        exponent = self._sdo.read_if_shown(objects.INTERPOLATION_EXPONENT, -3)
-        return min(FEED_S, value * 10.0**exponent) if value > 0 and exponent < 0 else FEED_S
-
-    @property
-    def _run_word(self) -> int:
-        return RUN | Control.INTERPOLATE if self.mode is Mode.INTERPOLATED_POSITION else RUN
+        if self._modes.resting is Mode.PROFILE_POSITION:
+            self._give(target, velocity, acceleration)
+        else:
+            self._begin_feeding(target, velocity, acceleration)
 
     def arrived(self) -> bool | None:
-        """Of a move by set-points, or one whose begin did not clear bit 10: whether the axis is at its target; None where the drive
+        """Of a move that is fed, or one whose begin did not clear bit 10: whether the axis is at its target; None where the drive
         itself says it (bit 10)."""
-        streamed = self._streamed
-        target = self._unshown if streamed is None else streamed.target
-        if target is None:
+        move = self._move
+        if move is None or (isinstance(move, _GivenMove) and move.shown):
             return None
         speed = self._units.mm_s(self._sampler.values.get(objects.VELOCITY_ACTUAL, 0))
-        at_rest = (streamed is None or streamed.fed) and Standstill.is_slow(speed)
-        return at_rest and abs(self._sampler.position_counts - target) <= self._near_counts()
+        at_rest = (isinstance(move, _GivenMove) or move.fed) and Standstill.is_slow(speed)
+        return at_rest and abs(self._sampler.position_counts - move.target) <= self._near_counts
 
-    def _near_counts(self) -> float:
-        return arrived_within_counts(self._units.scaling.counts_per_load_mm, self._window)
+    def look(self, status: int) -> None:
+        """Evaluate a sample: bit 11 on the way to a target, see `_judge_limit`. The next set-point of a move that is fed goes out
+        here; a stop or a halt ends it."""
+        enabled = decode_state(status) is DriveState.ENABLED
+        if isinstance(self._move, StreamedMove):
+            if self._power.stopped or not enabled or self._power.controlword & Control.HALT:
+                self._move = None
+            else:
+                self._feed(self._move)
+        elif enabled and self._modes.mode is Mode.PROFILE_POSITION:
+            self._judge_limit(status)
 
-    def _feed(self, status: int) -> None:
-        """The next set-point of a move without profile position. A stop or a halt ends it."""
-        streamed = self._streamed
-        if streamed is None:
-            return
-        if self._power.stopped or decode_state(status) is not DriveState.ENABLED:
-            self._streamed = None
-            return
-        if self.halted:
-            streamed.rest(self._clock.now_ns())
-            return
-        place = streamed.step(self._clock.now_ns())
-        if place is not None:
-            entry = objects.INTERPOLATION_TARGET if self.mode is Mode.INTERPOLATED_POSITION else objects.TARGET_POSITION
-            self.set(entry, place, always=True)
+    # -- given to the drive: profile position ------------------------------------------------------------------------------
+    def _give(self, target: int, velocity: int, acceleration: int) -> None:
+        way = self._way(target, velocity, acceleration)
+        self.set_mode(Mode.PROFILE_POSITION)
+        self._kept.set(objects.PROFILE_VELOCITY, velocity)
+        self._limits.set_ramps(acceleration)
+        self._kept.set(objects.TARGET_POSITION, target, always=True)
+        distance = abs(target - self._sampler.position_counts)
+        self._hand_over(way)
+        move = self._move = _GivenMove(target)
+        self._judge_limit(self._sampler.statusword)
+        if distance > self._near_counts:
+            # a drive may show the arrival of the move before for a cycle or two; one that shows it all the time is not believed
+            move.shown = self._await_bit(Status.TARGET_REACHED, 0, BEGUN_S, way)
 
     def _way(self, target: int, velocity: int, acceleration: int) -> _Way | None:
         """From where the axis is to the target, by way of the one that it moves to, and what it needs to brake; None for an axis in
         another mode, whose motion until the set-point is taken has no end that is known."""
-        if self.mode is not Mode.PROFILE_POSITION:
+        if self._modes.mode is not Mode.PROFILE_POSITION:
             return None
         here = self._sampler.position_counts
-        places = (here, target, *self._going)
-        fastest = max(velocity, self._written.get(objects.PROFILE_VELOCITY, 0))
+        places = (here, target, *(() if self._move is None else (round(self._move.target),)))
+        fastest = max(velocity, self._kept.written.get(objects.PROFILE_VELOCITY, 0))
         speed = abs(self._sampler.values.get(objects.VELOCITY_ACTUAL, fastest))
         speed_counts, ramp_counts = speed * self._units.velocity.counts, acceleration * self._units.acceleration.counts
         beyond = self._strays + round(speed_counts * speed_counts / (2 * ramp_counts))
         return _Way(min(places) - beyond, max(places) + beyond, target)
 
-    def look(self, status: int) -> None:
-        """Evaluate a sample: bit 11 on the way to a target, see `_judge_limit`. The next set-point of a move without profile position
-        goes out here."""
-        self._feed(status)
-        if self.mode is Mode.PROFILE_POSITION and decode_state(status) is DriveState.ENABLED:
-            self._judge_limit(status)
-
     def _judge_limit(self, status: int) -> None:
         """Bit 11 has many causes, such as current or velocity: it means 607Dh where the target lies outside. Then the axis is halted
         instead of arriving elsewhere, and LimitError is raised once; else it is noted."""
-        if not (status & Status.INTERNAL_LIMIT and self._going) or self._judged:
+        move = self._move
+        if not isinstance(move, _GivenMove) or move.judged or not status & Status.INTERNAL_LIMIT:
             return
-        self._judged, read = True, self._sdo.read_if_shown
+        move.judged, read = True, self._sdo.read_if_shown
         most = cia402_words.LARGEST_POSITION
         low, high = read(objects.SOFTWARE_LIMIT_MIN, -most - 1), read(objects.SOFTWARE_LIMIT_MAX, most)
         if cia402_words.software_limits(low, high) is not None:
             home = read(objects.HOME_OFFSET, 0)  # the standard shifts the limits by it, not every drive does
-            for target in self._going:
-                if not max(low, low - home) <= target <= min(high, high - home):
-                    self.halt()
-                    raise LimitError(
-                        f"{self._sdo.name}: the drive limits the target {target} to its own software limits (607Dh) {low} to {high}"
-                    )
+            if not max(low, low - home) <= move.target <= min(high, high - home):
+                self.halt()
+                raise LimitError(
+                    f"{self._sdo.name}: the drive limits the target {move.target} to its own software limits (607Dh) {low} to {high}"
+                )
         said = (
             f"{self._sdo.name} shows an internal limit (bit 11 of the statusword) on the way to a target that 607Dh allows:"
             " its current or velocity may be limited; the move goes on"
         )
-        if said not in self.notes:
-            self.notes.append(said)
+        if said not in self._notes:
+            self._notes.append(said)
 
     def _hand_over(self, way: _Way | None) -> None:
         """The set-point handshake: bit 4 up, acknowledged by bit 12, bit 4 down, bit 12 down when a further one can be taken.
@@ -512,19 +208,18 @@ class ProfileMotion:
         name, timeout_s = self._sdo.name, self._handshake_s
         if self._power.controlword != RUN:
             self._power.write(RUN)
-            self.halted = False
-        if not self._await_status(_not_acknowledged, timeout_s, way):
+        if not self._await_bit(Status.SETPOINT_ACKNOWLEDGE, 0, timeout_s, way):
             raise ProtocolError(f"{name}: set-point acknowledge (bit 12) stays set, no set-point can be given")
         self._power.write_edge(RUN | Control.NEW_SETPOINT | Control.CHANGE_IMMEDIATELY)
-        taken = self._await_status(_acknowledged, timeout_s, way)
+        taken = self._await_bit(Status.SETPOINT_ACKNOWLEDGE, 1, timeout_s, way)
         self._power.write(RUN)
         if not taken:
             raise ProtocolError(f"{name}: the set-point was not acknowledged within {timeout_s:g} s")
         # some hold bit 12 until the arrival: the axis is not left unwatched for that
-        self._await_status(_not_acknowledged, min(FREE_S, timeout_s), way)
+        self._await_bit(Status.SETPOINT_ACKNOWLEDGE, 0, min(FREE_S, timeout_s), way)
 
-    def _await_status(self, condition: Callable[[int], bool], timeout_s: float, way: _Way | None = None) -> bool:
-        """Sample statusword and position; False when the condition did not hold in time. Raises DriveFaultError when a fault comes,
+    def _await_bit(self, bit: Status, value: int, timeout_s: float, way: _Way | None) -> bool:
+        """Sample statusword and position; False when the bit has not this value in time. Raises DriveFaultError when a fault comes,
         FollowingErrorError when the axis leaves its path."""
         deadline = self._clock.deadline(timeout_s)
         while True:
@@ -540,31 +235,46 @@ class ProfileMotion:
                     f"{self._sdo.name}: it was given the target {way.target} and moves elsewhere, to {self._sampler.position_counts}:"
                     " another master moves it, or it does not obey"
                 )
-            if condition(status):
+            if bool(status & bit) == bool(value):
                 return True
             if deadline.expired:
                 return False
             self._clock.sleep_until_ns(min(deadline.end_ns, self._clock.now_ns() + round(POLL_S * NS_PER_S)))
 
-    # -- halt --------------------------------------------------------------------------------------------
-    def halt(self) -> None:
-        """Set the halt bit: stop with the ramp of 605Dh and stay enabled; the order in progress is kept for `resume`."""
-        self._power.write(RUN | Control.HALT)
-        self.halted = True
-
-    def resume(self) -> None:
-        """Clear the halt bit: the drive continues the order in progress."""
-        if self._streamed is not None:  # from where the halt brought it to rest
-            self._streamed.place = self._sampler.position_counts
+    # -- fed with set-points: a drive without profile position -------------------------------------------------------------
+    def _begin_feeding(self, target: int, velocity: int, acceleration: int) -> None:
+        mode = self._modes.resting
+        changed = self._modes.mode is not mode
+        self.set_mode(mode)
+        if not isinstance(self._move, StreamedMove):
+            with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
+                self._kept.set(objects.INTERPOLATION_PERIOD, round(1000 * FEED_S))
+                self._kept.set(objects.INTERPOLATION_EXPONENT, -3)
+            self._move = StreamedMove(self._sampler.position_counts, self._clock.now_ns(), self._interpolated_s())
+        speed, ramp = self._units.velocity.counts, self._units.acceleration.counts
+        self._move.go(target, velocity * float(speed), acceleration * float(ramp))
+        if changed or self._power.controlword != self._run_word:
+            self._power.write(RUN)  # in homing mode bit 4 had another meaning
             self._power.write(self._run_word)
-        else:
-            self._power.write(RUN)
-        self.halted = False
 
+    def _interpolated_s(self) -> float:
+        """60C2h, s, at most `FEED_S`."""
+        value = self._sdo.read_if_shown(objects.INTERPOLATION_PERIOD, 0)
+        exponent = self._sdo.read_if_shown(objects.INTERPOLATION_EXPONENT, -3)
+        return min(FEED_S, value * 10.0**exponent) if value > 0 and exponent < 0 else FEED_S
 
-def _acknowledged(status: int) -> bool:
-    return bool(status & Status.SETPOINT_ACKNOWLEDGE)
+    @property
+    def _run_word(self) -> int:
+        return RUN | Control.INTERPOLATE if self._modes.mode is Mode.INTERPOLATED_POSITION else RUN
 
+    def _feed(self, move: StreamedMove) -> None:
+        place = move.step(self._clock.now_ns())
+        if place is not None:
+            interpolated = self._modes.mode is Mode.INTERPOLATED_POSITION
+            entry = objects.INTERPOLATION_TARGET if interpolated else objects.TARGET_POSITION
+            self._kept.set(entry, place, always=True)
 
-def _not_acknowledged(status: int) -> bool:
-    return not status & Status.SETPOINT_ACKNOWLEDGE
+    # -- halt ------------------------------------------------------------------------------------------------------------
+    def halt(self) -> None:
+        """Set the halt bit: stop with the ramp of 605Dh and stay enabled."""
+        self._power.write(RUN | Control.HALT)

@@ -18,6 +18,8 @@ from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, S
 from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.homing import Homing
+from drivers.canopen.kept_settings import KeptSettings
+from drivers.canopen.modes import OperationModes
 from drivers.canopen.motion import RUN, ProfileMotion
 from drivers.canopen.node import Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
@@ -48,6 +50,8 @@ class StoppableNode(StoppableDrive):
     power: PowerStage
     sampler: Sampler
     connection: Connection
+    kept: KeptSettings
+    modes: OperationModes
     motion: ProfileMotion
     homing: Homing
     units: MotionScaling
@@ -114,7 +118,7 @@ class StoppableNode(StoppableDrive):
         error = values.get(objects.FOLLOWING_ERROR_ACTUAL)
         arrived = self.motion.arrived()
         reached = bool(status & Status.TARGET_REACHED) if arrived is None else arrived
-        if self.homing.without_bit_10 and self.motion.mode is Mode.HOMING:
+        if self.homing.without_bit_10 and self.modes.mode is Mode.HOMING:
             reached = velocity is None or Standstill.is_slow(self.units.load_mm_s(velocity))
         return DriveSample(
             self.sampler.heard_ns,
@@ -245,7 +249,6 @@ class StoppableNode(StoppableDrive):
         A ramp flatter than that of a move overshoots the move's target; one that ends without power lets an axis fall that gravity
         can move.
         """
-        self.notes = []
         self.stop_lets_go = not self._quick_stop_holds()
         if self.falls_without_power and self.stop_lets_go:
             self.notes.append(

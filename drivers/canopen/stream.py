@@ -82,7 +82,7 @@ class CyclicStream:
                 drive.limits,
                 settings,
                 stop=drive.connection.stop_rpdo,
-                mode=drive.motion.streaming_mode or Mode.CYCLIC_POSITION,
+                mode=drive.modes.streaming or Mode.CYCLIC_POSITION,
                 kind=SYNC_EVERY if drive.connection.rpdo is None else drive.connection.rpdo.kind,
             )
             for drive in drives
@@ -144,20 +144,20 @@ class CyclicStream:
         sample = drive.sample()
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {drive.name} cannot stream: it is {sample.state.value}")
-        if not drive.motion.supports(axis.mode):
+        if not drive.modes.has(axis.mode):
             raise CapabilityError(f"drive {drive.name} has no {axis.mode.name.lower().replace('_', ' ')} mode")
         if drive.connection.no_stream:
             raise CapabilityError(f"drive {drive.name} cannot stream: {drive.connection.no_stream}")
         value, exponent = _interpolation(self.settings.period_s)
         with suppress(AbortError):  # 60C2h is optional, and fixed in some drives
-            drive.motion.set(objects.INTERPOLATION_PERIOD, value)
-            drive.motion.set(objects.INTERPOLATION_EXPONENT, exponent)
+            drive.kept.set(objects.INTERPOLATION_PERIOD, value)
+            drive.kept.set(objects.INTERPOLATION_EXPONENT, exponent)
         drive.begin_streaming(axis)
         axis.taken = True
         axis.setup.apply(interrupted=self._send_stops)
         if axis.mode is Mode.INTERPOLATED_POSITION:
             with suppress(AbortError):  # 60C4h is optional: set-points of an earlier stream are cleared
-                drive.motion.set(objects.BUFFER_CLEAR, 1, always=True)
+                drive.kept.set(objects.BUFFER_CLEAR, 1, always=True)
         drive.set_mode(axis.mode)
         axis.position_counts = drive.sdo.read(objects.POSITION_ACTUAL)
         axis.demand_counts = axis.next_counts = axis.position_counts
@@ -214,7 +214,7 @@ class CyclicStream:
             if not self._stopped:
                 if axis.mode is Mode.INTERPOLATED_POSITION:
                     drive.power.write(Command.ENABLE_OPERATION.word)  # bit 4 means a new set-point in profile position
-                drive.set_mode(drive.motion.resting_mode)
+                drive.set_mode(drive.modes.resting)
         except BaseException as error:
             drive.send_stop()
             undo_all([("", drive.disable)], during=error)

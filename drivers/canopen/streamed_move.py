@@ -34,10 +34,6 @@ class StreamedMove:
         """Whether the last set-point is the target."""
         return self.place == self.target
 
-    def rest(self, now_ns: int) -> None:
-        """The axis was halted: go on from rest."""
-        self._speed, self._fed_ns = 0.0, now_ns
-
     def step(self, now_ns: int) -> int | None:
         """The next set-point, counts; None while the last one is in force."""
         since_s = (now_ns - self._fed_ns) * 1e-9

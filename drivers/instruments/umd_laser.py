@@ -43,7 +43,7 @@ class FixedAir:
 
 
 @dataclass(frozen=True)
-class Beside:
+class BesideOptics:
     """Angle or straightness optics on another axis of the display, 1 to 3. per_unit: its quantity per unit of displacement, signed."""
 
     axis: int
@@ -72,7 +72,7 @@ class UmdSettings:
     dead_path_mm: float = 0.0
     latch_loss: bool = True
     air_equation: AirEquation = refractive_index
-    beside: Mapping[str, Beside] = field(default_factory=dict)
+    beside: Mapping[str, BesideOptics] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name, value, allowed in (

@@ -92,7 +92,7 @@ ShownState = Annotated[StateRule, Via(_StateRow, lambda row, _: StateRule(row.co
 
 
 @dataclass(frozen=True)
-class Transition:
+class StateChange:
     """From one of these states, after these writes (in this order), the drive comes to one of those."""
 
     sources: Annotated[States, Key("from")]
@@ -312,9 +312,9 @@ class DriveMap:
     registers: Annotated[RegisterMap, Key("")]
     position: Position
     states: Annotated[tuple[ShownState, ...], Key("state"), not_empty]
-    enable: Annotated[tuple[Transition, ...], not_empty]
-    disable: Annotated[tuple[Transition, ...], not_empty]
-    reset_fault: Annotated[tuple[Transition, ...], not_empty]
+    enable: Annotated[tuple[StateChange, ...], not_empty]
+    disable: Annotated[tuple[StateChange, ...], not_empty]
+    reset_fault: Annotated[tuple[StateChange, ...], not_empty]
     quick_stop: WriteTable
     halt: WriteTable
     move: MoveMap
@@ -428,7 +428,7 @@ def all_hold(conditions: tuple[Condition, ...], raw: Mapping[str, int]) -> bool:
     return all(condition.holds(raw[condition.register]) for condition in conditions)
 
 
-def leads_to_enabled(transitions: tuple[Transition, ...], state: DriveState) -> bool:
+def leads_to_enabled(transitions: tuple[StateChange, ...], state: DriveState) -> bool:
     """Whether the transitions have a way from the state to ENABLED."""
     seen: set[DriveState] = set()
     open_states = {state}

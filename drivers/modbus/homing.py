@@ -18,7 +18,7 @@ _ATTAINED_S = 0.5
 """"Homing attained" that did not go away after the start counts when it and the axis's position stay for this long, s."""
 
 
-class Homing:
+class MappedHoming:
     """Homing of one drive. homed: since it was opened, or as the drive reports, None while that is unknown.
 
     under_way: begun, and its end not seen yet. elsewhere: the last one ended in another frame than announced.

@@ -9,7 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from drivers.drive import FAULTS, DriveState
-from drivers.modbus.drive_map import DriveMap, Transition, leads_to_enabled
+from drivers.modbus.drive_map import DriveMap, StateChange, leads_to_enabled
 from drivers.modbus.register_map import RegisterMap, find_map, parse_registers
 from drivers.toml_schema import Document
 
@@ -55,7 +55,7 @@ def _drive(document: Document, registers: RegisterMap) -> DriveMap:
     return drive
 
 
-def _wrong(key: str, transition: Transition, shown: set[DriveState]) -> str:
+def _wrong(key: str, transition: StateChange, shown: set[DriveState]) -> str:
     """Why a transition is refused, "" for one that is accepted."""
     for state in (*transition.sources, *transition.targets):
         if state not in shown:

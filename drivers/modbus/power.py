@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from drivers.drive import FAULTS, DriveSample, DriveState
 from drivers.errors import DriveFaultError, MotionTimeoutError, ProtocolError, StateError
-from drivers.modbus.drive_map import Transition
+from drivers.modbus.drive_map import StateChange
 from drivers.modbus.drive_values import Unit
 from drivers.modbus.orders import POLL_S
 from drivers.way_out import WayOut
@@ -88,7 +88,7 @@ class PowerStates:
         if self.can_disable(state) and state not in transition.targets:
             self.disable(state)  # a stop that was sent in the fault is still in force
 
-    def _from(self, transitions: tuple[Transition, ...], state: DriveState, verb: str) -> Transition:
+    def _from(self, transitions: tuple[StateChange, ...], state: DriveState, verb: str) -> StateChange:
         for transition in transitions:
             if state in transition.sources:
                 return transition
@@ -98,7 +98,7 @@ class PowerStates:
             )
         raise StateError(f"drive {self._unit.name} cannot {verb} from {state.value}")
 
-    def _walk(self, transition: Transition, verb: str, *, off: bool = False) -> None:
+    def _walk(self, transition: StateChange, verb: str, *, off: bool = False) -> None:
         """off: takes the power off, which is allowed after a stop and ends in a fault as well."""
         (self._unit.orders.take_power if off else self._unit.orders.give)(transition.writes)
         state = self._await(

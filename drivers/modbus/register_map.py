@@ -45,7 +45,7 @@ class AddressBase(Enum):
     MODICON6 = "modicon6"  # the same with six digits: 400001 …, which reaches all 65536
 
 
-class Access(Enum):
+class RegisterRights(Enum):
     RO = "ro"
     WO = "wo"
     RW = "rw"
@@ -76,7 +76,7 @@ class Register:
     scale: float = 1.0
     offset: float = 0.0
     unit: str = ""
-    access: Access = Access.RO
+    access: RegisterRights = RegisterRights.RO
     minimum: float | None = None
     maximum: float | None = None
     memory: Memory = Memory.RAM
@@ -94,11 +94,11 @@ class Register:
 
     @property
     def readable(self) -> bool:
-        return self.access is not Access.WO
+        return self.access is not RegisterRights.WO
 
     @property
     def writable(self) -> bool:
-        return self.access is not Access.RO
+        return self.access is not RegisterRights.RO
 
     @property
     def place(self) -> tuple[Table, Span]:
@@ -319,7 +319,7 @@ class _Row:
     scale: Annotated[float, _finite, _not_zero, Limits(description="a number other than 0")] = 1.0
     offset: Finite = 0.0
     unit: Text = ""
-    access: Access | None = None
+    access: RegisterRights | None = None
     limits: Annotated[tuple[float | None, float | None], Via(tuple[Finite, Finite], _limits, "[low, high]")] = (
         None,
         None,
@@ -378,8 +378,8 @@ def _register(name: str, row: _Row, head: _Head) -> Register:
         raise SchemaError("length", f"belongs to the type string, this is {kind.value}")
     if row.bits and kind is not RegisterType.BITS:
         raise SchemaError("bits", f"belongs to the type bits, this is {kind.value}")
-    access = row.access or (Access.RW if table.is_writable else Access.RO)
-    if access is not Access.RO and not table.is_writable:
+    access = row.access or (RegisterRights.RW if table.is_writable else RegisterRights.RO)
+    if access is not RegisterRights.RO and not table.is_writable:
         raise SchemaError("access", f"is {access.value}, but table {table.value} is read only")
     length = (row.length or 1) if kind is RegisterType.STRING else 0
     layout = Layout(kind, row.word_order or head.word_order, row.byte_order or head.byte_order, length)

@@ -12,7 +12,7 @@ from drivers.drive import FAULTS, DriveLimits, DriveSample, DriveState
 from drivers.errors import BridgeError, ProtocolError, TransportError
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.drive_values import DriveValues, Unit
-from drivers.modbus.homing import Homing
+from drivers.modbus.homing import MappedHoming
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.orders import Orders, hold
 from drivers.modbus.power import PowerStates
@@ -30,7 +30,7 @@ class StoppableUnit(StoppableDrive):
     ProtocolError (a state or hand-shake that is not in the map), MotionTimeoutError (a transition that does not come).
     """
 
-    homing: Homing
+    homing: MappedHoming
 
     def __init__(
         self,
@@ -63,7 +63,7 @@ class StoppableUnit(StoppableDrive):
         ours = Unit(name, drive_map, self.access, self.values, self.orders, clock, scaling)
         self.power = PowerStates(ours, way_out=self.way_out, sample=self.sample)
         self.moves = ProfileMoves(ours, limits)
-        self.homing = Homing(ours, post_stop=self.send_stop)
+        self.homing = MappedHoming(ours, post_stop=self.send_stop)
 
     # -- reading ---------------------------------------------------------------------------------------------------
     @property

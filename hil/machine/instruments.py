@@ -12,7 +12,7 @@ from drivers.instruments.link import PatientLink
 from drivers.instruments.nd2xx import Nd2xxDecoder
 from drivers.instruments.replay import Recording, ReplayInstrument, ReplaySettings
 from drivers.instruments.serial_link import SerialLink
-from drivers.instruments.umd_laser import Beside, FixedAir, Optics, UmdLaser, UmdSettings
+from drivers.instruments.umd_laser import BesideOptics, FixedAir, Optics, UmdLaser, UmdSettings
 from drivers.instruments.values import ValueProtocol
 from hil.axis.axis_file import DisplayConfig, InstrumentConfig
 
@@ -60,7 +60,7 @@ def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
         air_temp_code=config.air_temp_channel,
         places=config.place_temps,
         dead_path_mm=config.dead_path_mm,
-        beside={column: Beside(*optics) for column, optics in (config.beside or {}).items()},
+        beside={column: BesideOptics(*optics) for column, optics in (config.beside or {}).items()},
         air_equation=ciddor.refractive_index if config.air_equation == "ciddor" else air.refractive_index,
     )
     return UmdLaser(PatientLink(SerialLink(port), clock), clock, settings)

@@ -124,7 +124,7 @@ def test_a_neighbour_whose_tpdos_cannot_be_switched_off_counts_in_the_load(perio
         with pytest.raises(InputError, match="SYNC and PDOs need"), stream:
             pytest.fail("entered")
         assert drives[0].sample().state is DriveState.ENABLED
-        assert drives[0].motion.mode is Mode.PROFILE_POSITION
+        assert drives[0].modes.mode is Mode.PROFILE_POSITION
         return
     with stream:
         stream.cycle([0.0])
@@ -266,7 +266,7 @@ def test_a_stream_does_not_begin_beside_another_programs(bus: Bus) -> None:
     ):
         pytest.fail("entered")
     assert y.sample().state is DriveState.ENABLED
-    assert y.motion.mode is Mode.PROFILE_POSITION
+    assert y.modes.mode is Mode.PROFILE_POSITION
 
 
 # -- leaving a stream ------------------------------------------------------------------------------------------------------------
@@ -302,7 +302,7 @@ def test_leaving_a_stream_is_done_to_the_end_whatever_fails(
     assert len(caught.value.errors) == 2
     for drive in pair:
         assert not drive.is_streaming
-        assert drive.motion.mode is Mode.PROFILE_POSITION
+        assert drive.modes.mode is Mode.PROFILE_POSITION
         assert drive.sample().state is DriveState.ENABLED
         drive.start_move(3.0, 50.0)
 
@@ -319,7 +319,7 @@ def test_an_axis_that_cannot_be_put_back_is_disabled_and_the_others_are_put_back
         stream.__exit__(None, None, None)
     assert not bus.bench.servos[X].powered
     assert y.sample().state is DriveState.ENABLED
-    assert y.motion.mode is Mode.PROFILE_POSITION
+    assert y.modes.mode is Mode.PROFILE_POSITION
 
 
 def test_an_axis_whose_pdos_cannot_be_put_back_is_disabled(
@@ -424,7 +424,7 @@ def test_a_stream_that_cannot_be_entered_leaves_every_axis_as_it_was(
     ):
         pytest.fail("entered")
     assert x.sample().state is DriveState.ENABLED
-    assert x.motion.mode is Mode.PROFILE_POSITION
+    assert x.modes.mode is Mode.PROFILE_POSITION
     assert x.sdo.read(objects.MODE_DISPLAY) == Mode.PROFILE_POSITION
     assert {key: bus.bench.slaves[X].dictionary.number(*key) for key in before} == before
     x.start_move(3.0, 50.0)

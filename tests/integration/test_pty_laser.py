@@ -12,7 +12,7 @@ from drivers.clock import WallClock
 from drivers.errors import LinkLostError
 from drivers.instrument import Reading, ReadingStatus
 from drivers.instruments.serial_link import SerialLink
-from drivers.instruments.umd_laser import Beside, UmdLaser, UmdSettings
+from drivers.instruments.umd_laser import BesideOptics, UmdLaser, UmdSettings
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.laser import LaserParameters
@@ -97,7 +97,7 @@ def test_environment_arrives_with_its_scales(rig: Rig) -> None:
 
 @pytest.mark.parametrize("rig", [BenchParameters(laser=LaserParameters(angle_urad_per_unit=0.5))], indirect=True)
 def test_angle_optics_show_the_tables_pitch_and_yaw(rig: Rig) -> None:
-    beside = {"pitch_urad": Beside(2, 0.5), "yaw_urad": Beside(3, 0.5)}
+    beside = {"pitch_urad": BesideOptics(2, 0.5), "yaw_urad": BesideOptics(3, 0.5)}
     rig.laser = UmdLaser(SerialLink(rig.bench.laser_path), rig.bench.clock, replace(SETTINGS, beside=beside))
     rig.laser.open()
     rig.bench.switch_on("abbe", 10.0)

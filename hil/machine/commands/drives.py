@@ -19,7 +19,7 @@ from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.units import motion_units, read_units, readings
 from drivers.clock import WallClock
-from drivers.drive_notes import DriveNotes, Wire, shipped_notes
+from drivers.drive_notes import DriveNotes, DriveWire, shipped_notes
 from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError
 from drivers.files import replace_file
 from drivers.modbus.drive_map import DriveMap, all_hold
@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
     notes = shipped_notes().get(args.drive)
     if notes is not None and notes.head.no_file:
         raise InputError(f"there is no drive file for {notes.head.description}: {notes.head.no_file}")
-    over_can = args.drive == CANOPEN or (notes is not None and notes.head.wire is Wire.CANOPEN)
+    over_can = args.drive == CANOPEN or (notes is not None and notes.head.wire is DriveWire.CANOPEN)
     found = _canopen(args, ask, notes) if over_can else _modbus(args)
     if found.lines is None:
         for note in found.notes:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from drivers.drive_notes import DriveNotes, Wire, shipped_notes
+from drivers.drive_notes import DriveNotes, DriveWire, shipped_notes
 from drivers.modbus.drive_map import DriveMap, Need
 from drivers.modbus.map_facts import Origin
 from drivers.modbus.map_loader import load_drive_map
@@ -130,7 +130,7 @@ def _show_notes(args: argparse.Namespace, notes: DriveNotes) -> int:
         )
     print(f"{_STRENGTHS} none of it is taken for granted:")
     print("the drive is asked what it has, and `hil doctor` proves its units before anything else is done")
-    if head.wire is Wire.CANOPEN and not head.no_file:
+    if head.wire is DriveWire.CANOPEN and not head.no_file:
         print(f"first axis file: hil drives new X.toml --drive {args.name} --channel can0 --node ID")
     if args.json:
         write_json(args.json, {"name": args.name, **_notes_form(notes)})

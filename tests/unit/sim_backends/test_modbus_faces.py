@@ -15,7 +15,7 @@ from drivers.modbus.endpoint import Endpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
-from drivers.modbus.register_map import Access, Memory, RegisterMap
+from drivers.modbus.register_map import Memory, RegisterMap, RegisterRights
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import KEPT, Cia402Registers
 from sim_backends.modbus_registers import Face, Space
@@ -93,11 +93,11 @@ def test_access_rights_agree(make: Any) -> None:
     _, access = make()
     for name, register in access.registers.registers.items():
         words = access.words([name])[name] if register.readable else (0,) * register.span.count
-        if register.access is Access.RO and register.table.is_writable:
+        if register.access is RegisterRights.RO and register.table.is_writable:
             with pytest.raises(AbortError) as caught:
                 access.link.write(1, register.table, register.span.start, words)
             assert caught.value.code == 2, name
-        elif register.access is Access.RW:
+        elif register.access is RegisterRights.RW:
             access.link.write(1, register.table, register.span.start, words)
 
 

@@ -346,26 +346,6 @@ def test_the_handshake_on_the_wire(make: MakeRig) -> None:
     assert rig.number(0x6081) == 500_000
 
 
-def test_halt_holds_and_resume_goes_on(make: MakeRig) -> None:
-    rig = make()
-    drive = rig.enabled()
-    drive.start_move(100.0, 50.0)
-    rig.run(0.5)
-    drive.halt()
-    rig.run(0.5)
-    held = drive.sample()
-    assert held.state is DriveState.ENABLED
-    assert held.velocity_mm_s == 0.0
-    assert held.position_load_mm < 40.0
-    rig.run(0.5)
-    assert drive.sample().position_load_mm == held.position_load_mm
-    drive.resume()
-    arrived = drive.wait_for(
-        lambda sample: sample.target_reached and sample.position_load_mm > 99.0, 5.0, "arrived after the halt"
-    )
-    assert arrived.position_load_mm == pytest.approx(100.0, abs=1e-3)
-
-
 # -- homing ---------------------------------------------------------------------------------------------------------------
 
 

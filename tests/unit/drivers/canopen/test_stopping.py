@@ -177,7 +177,7 @@ def _home(drive: CanOpenDrive) -> None:
 
 def _halt(drive: CanOpenDrive) -> None:
     _move(drive)
-    drive.halt()
+    drive.motion.halt()
 
 
 @pytest.mark.parametrize("order", [_move, _home, _halt, lambda drive: None], ids=["move", "home", "halt", "hold"])
@@ -331,7 +331,7 @@ def test_no_order_enables_the_axis_after_a_stop(make: MakeRig, option: int) -> N
     rig = make(parameters={(0x605A, 0): option})
     drive = rig.moving()
     drive.send_stop()
-    for order in (drive.motion.resume, drive.motion.halt, lambda: drive.motion.move(0, 100_000, 1_000_000)):
+    for order in (drive.motion.halt, lambda: drive.motion.move(0, 100_000, 1_000_000)):
         with pytest.raises(StateError, match="was told to stop; it takes orders again once it is enabled anew"):
             order()
     rig.clock.sleep_s(0.5)
@@ -448,41 +448,35 @@ STILL_LOOKS = round(STILL_S / LOOK_S)
 # -- standstill -------------------------------------------------------------------------------------------------------------
 
 
-def _looks(
-    positions: Callable[[int], int], velocity: Callable[[int], int | None], reached: Callable[[int], bool]
-) -> int | None:
+def _looks(positions: Callable[[int], int], velocity: Callable[[int], int | None]) -> int | None:
     """The number of the look that says "stands", at 10 000 counts/mm and `LOOK_S` apart; None of a hundred."""
     standstill = Standstill(1e-4)
     for look in range(100):
         counts_per_s = velocity(look)
         velocity_mm_s = None if counts_per_s is None else 1e-4 * counts_per_s
-        if standstill.look(round(look * LOOK_S * 1e9), 1e-4 * positions(look), velocity_mm_s, reached=reached(look)):
+        if standstill.look(round(look * LOOK_S * 1e9), 1e-4 * positions(look), velocity_mm_s):
             return look
     return None
 
 
 @pytest.mark.parametrize(
-    ("positions", "velocity", "reached", "expected"),
+    ("positions", "velocity", "expected"),
     [
-        (lambda n: 0, lambda n: 0, lambda n: True, 1),  # bit 10, and what agrees with it
-        (lambda n: 0, lambda n: None, lambda n: True, 1),  # no 606Ch
-        (lambda n: 0, lambda n: 0, lambda n: False, STILL_LOOKS),  # bit 10 never rises
-        (lambda n: n % 2, lambda n: 90_000, lambda n: False, STILL_LOOKS),  # 606Ch in other units: positions
-        (lambda n: 90 * (n % 2), lambda n: 4_000, lambda n: False, STILL_LOOKS),  # hunts by 9 µm, 606Ch is low
-        (lambda n: 1000 * n, lambda n: 100_000, lambda n: True, None),  # bit 10 of a velocity that was reached
-        (lambda n: 1000 * n, lambda n: 3, lambda n: True, None),  # 606Ch in other units contradicts the positions
-        (lambda n: 1000 * n, lambda n: None, lambda n: True, None),
-        (lambda n: 10 * n, lambda n: None, lambda n: False, None),  # creeps with 0.1 mm/s
-        (lambda n: 1000 * min(n, 30), lambda n: None, lambda n: False, 30 + STILL_LOOKS),
+        (lambda n: 0, lambda n: 0, 2),  # a velocity of 0, and positions that agree for 20 ms
+        (lambda n: 0, lambda n: None, STILL_LOOKS),  # no 606Ch
+        (lambda n: n % 2, lambda n: 90_000, STILL_LOOKS),  # 606Ch in other units: positions
+        (lambda n: 90 * (n % 2), lambda n: 4_000, STILL_LOOKS),  # hunts by 9 µm, 606Ch is low
+        (lambda n: 1000 * n, lambda n: 0, None),  # 606Ch is stuck
+        (lambda n: 1000 * n, lambda n: 3, None),  # 606Ch in other units contradicts the positions
+        (lambda n: 1000 * n, lambda n: None, None),
+        (lambda n: 10 * n, lambda n: None, None),  # creeps with 0.1 mm/s
+        (lambda n: 1000 * min(n, 30), lambda n: None, 30 + STILL_LOOKS),
     ],
 )
 def test_standstill(
-    positions: Callable[[int], int],
-    velocity: Callable[[int], int | None],
-    reached: Callable[[int], bool],
-    expected: int | None,
+    positions: Callable[[int], int], velocity: Callable[[int], int | None], expected: int | None
 ) -> None:
-    assert _looks(positions, velocity, reached) == expected
+    assert _looks(positions, velocity) == expected
 
 
 # -- disabling ----------------------------------------------------------------------------------------------------------------
@@ -641,7 +635,7 @@ def test_an_interrupt_in_the_middle_of_an_order_sends_a_stop(make: MakeRig, monk
     def interrupted(*_: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(drive.motion, "_await_status", interrupted)
+    monkeypatch.setattr(drive.motion, "_await_bit", interrupted)
     with pytest.raises(KeyboardInterrupt):
         drive.start_move(-100.0, 100.0)
     assert rig.bench.slave.profile.state is DriveState.QUICK_STOP

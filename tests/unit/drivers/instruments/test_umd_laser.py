@@ -4,7 +4,7 @@ import pytest
 
 from drivers.errors import InputError, LinkLostError
 from drivers.instrument import ReadingStatus
-from drivers.instruments.umd_laser import Beside, FixedAir, Optics, UmdLaser, UmdSettings
+from drivers.instruments.umd_laser import BesideOptics, FixedAir, Optics, UmdLaser, UmdSettings
 from sim_backends.clock import SimClock
 
 VACUUM = UmdSettings(compensate_air=False)
@@ -159,7 +159,7 @@ def test_axis_that_is_not_on_the_line_is_a_head_error() -> None:
 
 
 def test_angle_optics_on_the_other_axes() -> None:
-    beside = {"pitch_urad": Beside(2, 3.2), "yaw_urad": Beside(3, -1.6)}
+    beside = {"pitch_urad": BesideOptics(2, 3.2), "yaw_urad": BesideOptics(3, -1.6)}
     instrument, wire = laser(UmdSettings(compensate_air=False, beside=beside))
     wire.say("3276 3276 10 0 0 9 0 0 3277 20 1 64 3270 30 0 384")
     assert [reading.status for reading in instrument.poll()] == [ReadingStatus.GOOD]
@@ -215,7 +215,7 @@ def test_a_lost_link_is_an_error() -> None:
         ({"direction": 0}, "direction is 0"),
         ({"axis": 4}, "axis is 4"),
         ({"vacuum_wavelength_nm": 0.633}, "vacuum_wavelength_nm"),
-        ({"beside": {"pitch_urad": Beside(1, 1.0)}}, "axis of pitch_urad is 1"),
+        ({"beside": {"pitch_urad": BesideOptics(1, 1.0)}}, "axis of pitch_urad is 1"),
         ({"places": {"screw": 5}}, "channel of screw"),
         ({"places": {"screw": 3}}, "named for the air and for screw"),
     ],

@@ -14,7 +14,7 @@ from drivers.modbus.drive_map import Handshake
 from drivers.modbus.map_loader import load_drive_map, load_register_map
 from drivers.modbus.plan import Span, Table, WireCost, plan_reads
 from drivers.modbus.register_access import RegisterAccess
-from drivers.modbus.register_map import Access, Memory, find_map, shipped_maps
+from drivers.modbus.register_map import Memory, RegisterRights, find_map, shipped_maps
 from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.touch_probe import Edge
 
@@ -380,7 +380,7 @@ def test_the_shipped_maps_are_complete_and_of_different_shape() -> None:
     target = vendor.registers["target"]
     assert (target.span, target.layout.type, target.layout.word_order) == (Span(0, 2), RegisterType.I32, Order.LITTLE)
     assert vendor.registers["servo_on"].table is Table.COIL
-    assert vendor.registers["name_plate"].access is Access.RO
+    assert vendor.registers["name_plate"].access is RegisterRights.RO
     assert vendor.registers["origin_offset"].memory is Memory.EEPROM
     assert cia402.registers["statusword"].span == Span(0x2000, 1)
 

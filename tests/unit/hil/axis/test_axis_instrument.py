@@ -12,7 +12,7 @@ from drivers.instruments.ascii_values import AsciiDecoder
 from drivers.instruments.gauge import Gauge
 from drivers.instruments.nd2xx import ASK_COUNT
 from drivers.instruments.replay import ReplayInstrument
-from drivers.instruments.umd_laser import Beside, UmdLaser
+from drivers.instruments.umd_laser import BesideOptics, UmdLaser
 from hil.app.jobs.identity import instrument_identity
 from hil.app.terminal.main import main
 from hil.app.terminal.sim import instrument_text
@@ -55,7 +55,7 @@ def test_optics_beside_the_position_reach_the_rows(tmp_path: Path) -> None:
     axis = axis_with(tmp_path, "beside = { yaw_urad = { axis = 3, per_unit = -1.6 } }")
     made = build_instrument(axis.instrument, "/dev/nothing", SimClock())
     assert isinstance(made, UmdLaser)
-    assert made.settings.beside == {"yaw_urad": Beside(3, -1.6)}
+    assert made.settings.beside == {"yaw_urad": BesideOptics(3, -1.6)}
     session = toy_session(ToyMachine())
     session.instrument.environment = lambda: Environment(0, beside={"yaw_urad": 4.5})  # type: ignore[method-assign]
     assert session.known()["yaw_urad"] == 4.5
