@@ -28,7 +28,7 @@ from drivers.drive import DriveState
 from hil.app.terminal import progress
 from hil.app.terminal.main import main
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
-from hil.machine import wiring
+from hil.machine import bench_canopen
 from sim_backends.bench import BenchParameters
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.canopen_quirks import ProfiledSlave, machine_objects, profile_counts
@@ -276,7 +276,7 @@ def run_verbs(name: str, folder: Path, verbs: Sequence[str] = tuple(VERBS)) -> V
     """Run verbs over a profile, each on a fresh bench; files and passwords in an empty folder."""
     profile, row = load_profile(name), VerbRow(name)
     lay_out(folder, profile)
-    with mock.patch.object(wiring, "ProfiledSlave", Recorded), mock.patch.dict(os.environ, PASSWORDS):
+    with mock.patch.object(bench_canopen, "ProfiledSlave", Recorded), mock.patch.dict(os.environ, PASSWORDS):
         for verb in verbs:
             Recorded.seen.clear()
             if verb == "download" and not change_set(folder):
