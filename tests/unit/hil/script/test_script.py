@@ -184,6 +184,48 @@ def test_the_other_jobs(path: Path, tmp_path: Path) -> None:
         assert "<html" in found.report(tmp_path / "backlash.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.outside
+def test_what_is_left_is_found_and_put_into_force(path: Path, tmp_path: Path) -> None:
+    with hil.open(path) as axis:
+        found = axis.lost_motion(runs=2, places=10, proof_moves=8, at_mm=100.0)
+        assert found.amount_um == pytest.approx(6.0, abs=0.1), "the bench's"
+        assert found.stored
+        assert found.after_um < 0.1 * found.before_um
+        assert "<html" in found.report(tmp_path / "lost.html").read_text(encoding="utf-8")
+        loop = axis.close_loop(runs=3, rows=12, warm_up_s=20.0)
+        assert loop.after.rms_um < 0.2 * loop.before.rms_um
+        assert loop.good
+        assert set(json.loads(loop.save().read_text())["stages"]) == {*loop.stages}
+        assert "<html" in loop.report(tmp_path / "loop.html").read_text(encoding="utf-8")
+
+
+CERTIFICATE = """
+[uncertainty]
+device_um = 0.2
+device_um_per_m = 1.5
+variation_um = 0.4
+
+[certificate]
+person = "A. Builder"
+machine = { model = "VMC 650", serial = "1234" }
+drive = { model = "S-drive 2", serial = "77-01" }
+instrument = { model = "uMD2", serial = "0042" }
+laboratory = { name = "Example Metrology", city = "Braunschweig", country = "DE" }
+customer = { name = "Example Works", city = "Jena", country = "DE" }
+"""
+
+
+@pytest.mark.outside
+def test_a_verification_is_certified(path: Path, tmp_path: Path) -> None:
+    path.write_text(path.read_text() + CERTIFICATE)
+    with hil.open(path) as axis:
+        axis.calibrate(**SHORT)  # type: ignore[arg-type]
+        proof = axis.verify(**SHORT | {"runs": 5})  # type: ignore[arg-type]
+    made = proof.certificate(tmp_path / "certificate.pdf")
+    assert made.read_bytes().startswith(b"%PDF")
+    assert main(["check", str(made), "--builder", str(path.with_name("builder.pub"))]) == 0
+
+
 def test_two_axes_move_on_one_clock(tmp_path: Path) -> None:
     x, y = lay_out_axes(tmp_path)[:2]
     with hil.open_axes(x, y) as (first, second):
