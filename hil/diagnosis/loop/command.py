@@ -15,7 +15,7 @@ from hil.app.terminal.progress import terminal_progress
 from hil.app.terminal.records_input import read_effects
 from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
-from hil.calibration.explore import Exploration
+from hil.calibration.explore import Exploration, ExploringRun
 from hil.calibration.job import Verification, run_proof
 from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
 from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
@@ -24,6 +24,7 @@ from hil.diagnosis.loop.procedure import MOST_RUNS, Consent, Loop, Turn, Turning
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.next.plans import read_plan
 from hil.effects.user_effects import attributing_errors
+from hil.figures.verdict import Accuracy
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
 
@@ -34,21 +35,7 @@ def run(args: argparse.Namespace) -> int:
     effects = read_effects(args.effects)
     plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
     if args.dry_run:
-        steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
-        print_dry_run(axis, steps, [f"rows below {axis.store.directory}", str(axis.tables_path)])
-        rows = (
-            f"the {sum(len(part.steps) for part in plan)} rows of {args.plan}"
-            if plan
-            else (f"{args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each")
-        )
-        late = "" if axis.instrument.latency_s is not None else "passes for the instrument's latency, then "
-        passes = (
-            f"; then {late}twice passes at {', '.join(f'{feed:g}' for feed in args.feeds)} mm/s" if args.feeds else ""
-        )
-        print(
-            f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart{passes}"
-        )
-        return 0
+        return _dry_run(args, axis, plan)
     if args.feeds and (args.record or args.replay):
         raise InputError(
             "--feeds does not go with --record or --replay: a recorded drive takes no set-points in its cycle"
@@ -75,6 +62,47 @@ def run(args: argparse.Namespace) -> int:
     found = None if proof is None else accuracy_of(axis, proof.records, corrected=True)
     if store is None:
         print("nothing is stored: this was a recording")
+    _print_loop(args, loop, found)
+    if args.report:
+        from hil.diagnosis.loop.report import loop_report  # noqa: PLC0415  (plots are slow to import)
+
+        replace_file(args.report, loop_report(axis, loop, proof=proof).encode())
+    good = loop_is_good(loop) and (found is None or found.good)
+    if args.json:
+        write_json(
+            args.json,
+            {
+                "axis": axis.name,
+                "accuracy": None if found is None else found.as_json(),
+                "stages": loop_stages(loop),
+                "diagnosis": loop.turn.follow.to_json(),
+                "further": [run.describe() for run in loop.turn.further],
+                "withdrawn": [turn is not None and turn.withdrawn for turn in (loop.turn, loop.in_motion)],
+                "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
+                "latency": _measured_latency(loop),
+                "good": good,
+            },
+        )
+    return 0 if good else 1
+
+
+def _dry_run(args: argparse.Namespace, axis: AxisConfig, plan: list[ExploringRun] | None) -> int:
+    steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
+    print_dry_run(axis, steps, [f"rows below {axis.store.directory}", str(axis.tables_path)])
+    rows = (
+        f"the {sum(len(part.steps) for part in plan)} rows of {args.plan}"
+        if plan
+        else (f"{args.runs} runs of {args.rows} positions anywhere between, with strokes or rest before each")
+    )
+    late = "" if axis.instrument.latency_s is not None else "passes for the instrument's latency, then "
+    passes = f"; then {late}twice passes at {', '.join(f'{feed:g}' for feed in args.feeds)} mm/s" if args.feeds else ""
+    print(
+        f"then twice {rows}, and up to {MOST_RUNS} measurements more where causes are left that they tell apart{passes}"
+    )
+    return 0
+
+
+def _print_loop(args: argparse.Namespace, loop: Loop, found: Accuracy | None) -> None:
     stages = loop_stages(loop)
     if found is not None:
         print_accuracy(found)
@@ -89,27 +117,6 @@ def run(args: argparse.Namespace) -> int:
         if loop.in_motion.latency is not None:
             print(loop.in_motion.latency.describe())
         print_findings(loop.in_motion.diagnosis)
-    if args.report:
-        from hil.diagnosis.loop.report import loop_report  # noqa: PLC0415  (plots are slow to import)
-
-        replace_file(args.report, loop_report(axis, loop, proof=proof).encode())
-    good = loop_is_good(loop) and (found is None or found.good)
-    if args.json:
-        write_json(
-            args.json,
-            {
-                "axis": axis.name,
-                "accuracy": None if found is None else found.as_json(),
-                "stages": stages,
-                "diagnosis": loop.turn.follow.to_json(),
-                "further": [run.describe() for run in loop.turn.further],
-                "withdrawn": [turn is not None and turn.withdrawn for turn in (loop.turn, loop.in_motion)],
-                "in_motion": None if loop.in_motion is None else loop.in_motion.diagnosis.to_json(),
-                "latency": _measured_latency(loop),
-                "good": good,
-            },
-        )
-    return 0 if good else 1
 
 
 def _measured_latency(loop: Loop) -> dict[str, Any] | None:
