@@ -167,11 +167,11 @@ class Beside:
         unknown = EdsEntry(entry, "rw", None, None, None, None, False)
         return why_not_written(found or unknown, self.drive.node.table)
 
-    def _open(self, index: int, subindex: int = 0, mode: str = "rb", encoding: str = "ascii", **_: Any) -> Any:
+    def _open(self, index: int, subindex: int = 0, mode: str = "rb", *_: Any, **settings: Any) -> Any:
         if "r" not in mode:
             raise StateError("a stream writes nothing beside a drive; assign the object's value")
         stream = io.BytesIO(self._upload(index, subindex))
-        return stream if "b" in mode else io.TextIOWrapper(stream, encoding)
+        return stream if "b" in mode else io.TextIOWrapper(stream, settings.get("encoding", "ascii"))
 
 
 def dictionary(drive: CanOpenDrive) -> canopen.ObjectDictionary:

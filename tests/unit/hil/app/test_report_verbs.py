@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import InputError
-from hil.app.report import command as report
+from hil.app.report import command_options as report
 
 ROWS = [(run, d, p, p + 0.001 * (run - 2) + 0.002 * d) for run in (1, 2, 3) for d in (1, -1) for p in (0.0, 10.0, 21.0)]
 CSV = "run,direction,target_mm,measured_mm\n" + "".join(f"{r},{d:+d},{p},{m}\n" for r, d, p, m in ROWS)
