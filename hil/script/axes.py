@@ -9,7 +9,8 @@ from pathlib import Path
 from drivers.errors import CapabilityError
 from hil.axis.axis_file import AxisConfig, load_drive_axis
 from hil.machine.events import Listener, silent
-from hil.script.axis import Axis, Passwords
+from hil.script.axis import Axis
+from hil.script.given import Passwords
 
 
 @contextmanager

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
@@ -16,6 +14,7 @@ from drivers.errors import CapabilityError, InputError, StateError
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.machine.events import Event, Listener, silent
 from hil.records.journal import Campaign
+from hil.script.given import Measuring, Passwords, RealTime, Reversing, Winding
 from hil.script.reading import AxisReading
 from hil.script.results import (
     BacklashResult,
@@ -34,68 +33,10 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from hil.app.desk.axis_thread import Connection
     from hil.app.jobs.job import Job, Workplace
     from hil.app.jobs.zero_statement import ZeroStatement
-    from hil.correction.compensation import Command
     from hil.correction.store import SealedStore
     from hil.machine.session import AxisSession
     from hil.machine.supervisor import Supervisor
     from hil.script.parameters import Parameters
-
-
-class Measuring(TypedDict, total=False):
-    """Keys of [measurement] that a call gives in place of the axis file's."""
-
-    targets_mm: Sequence[float]
-    runs: int
-    velocity_mm_s: float
-    overrun_mm: float
-    dwell_s: float
-    reading_s: float
-    reference_mm: float
-    settle_um: float
-    settle_within_s: float
-
-
-class Reversing(TypedDict, total=False):
-    """Keys of [lost_motion] that a call gives in place of the axis file's."""
-
-    at_mm: float
-    stroke_mm: float
-    places: int
-    finest_um: float
-    runs: int
-    proof_moves: int
-    shortest_rise_um: float
-
-
-class Winding(TypedDict, total=False):
-    """Keys of [backlash] that a call gives in place of the axis file's."""
-
-    reference_plus_mm: float
-    reference_minus_mm: float
-    travel_velocity_mm_s: float
-    run_in_mm: float
-    step_um: float
-    steps: int
-    readings: int
-    settle_s: float
-    velocity_mm_s: float
-    feed: str
-    creep_um_s: float
-    runs: int
-    method: str
-    reversals: str
-    scale: float
-
-
-class RealTime:
-    """Waits of clocks without an operator's stop; simulated time passes as fast as it can."""
-
-    def real(self, duration_s: float) -> None:
-        """Sleep."""
-        time.sleep(duration_s)
-
-    def simulated(self, now_ns: int) -> None:
-        """Do not wait."""
 
 
 def open_axis(
@@ -114,28 +55,6 @@ def open_axis(
     canopen.Network of yours in place of the bus that the axis file names. Raises InputError.
     """
     return Axis(load_drive_axis(path), Passwords(password, key_password), on_event, network=network)
-
-
-class Passwords:
-    """Passwords that a script gives; None: not given."""
-
-    def __init__(self, reading: str | None, key: str | None) -> None:
-        self._reading, self._key = reading, key
-
-    def store(self, axis: AxisConfig, *, writing: bool) -> SealedStore:
-        """The axis's store. Raises as `hil.app.terminal.passwords.password` and `SealedStore.of`."""
-        from hil.app.terminal.axis_options import has_tables  # noqa: PLC0415  (cryptography loads slowly)
-        from hil.app.terminal.options import KEY, READING  # noqa: PLC0415
-        from hil.app.terminal.passwords import password  # noqa: PLC0415
-        from hil.correction.store import SealedStore  # noqa: PLC0415
-
-        key, reading, usual = self._key, self._reading, axis.store
-        if writing and key is None:
-            key = password(None, KEY, "builder key's password", os.environ, usual=usual.key_password_file)
-        if reading is None:
-            new = writing and not has_tables(axis)
-            reading = password(None, READING, "reading password", os.environ, usual=usual.password_file, new=new)
-        return SealedStore.of(axis, reading, key if writing else None)
 
 
 class Axis:
@@ -321,6 +240,7 @@ class Axis:
         self._last = None
         if session is None:
             self._supervisor.get_ready(home=True)
+            self._homed = True
             return
         store = self._passwords.store(self._measured_file(), writing=False) if corrected else None
         compensation = None if store is None else store.load()
@@ -332,37 +252,26 @@ class Axis:
         self._homed = True
 
     def move_to(self, position_mm: float, velocity_mm_s: float | None = None) -> None:
-        """Move to a position, load mm, and return once the axis has arrived. It is enabled if it is not.
+        """Move to a position, load mm, and return once the axis has arrived.
 
-        velocity_mm_s: None, that of [measurement]. Raises StateError for an axis that is not homed, LimitError before any motion for a
-        target outside the travel, and what stops the axis.
+        velocity_mm_s: None, that of [measurement]. Raises StateError before `home()` and once the axis was stopped or disabled,
+        LimitError before any motion for a target outside the travel, and what stops the axis.
         """
         connection = self._require()
-        sample = connection.drive.sample()
-        homes = not isinstance(self.file, AxisConfig) or self.file.measurement.home
-        if homes and not self._homed and not sample.homed:
-            raise StateError(f"axis {self.name} is not homed, expected home() first")
+        session, sample = connection.session, connection.drive.sample()
+        lost = session is not None and session.history is None
+        if not self._homed or lost or sample.state is not DriveState.ENABLED:
+            raise StateError(f"axis {self.name} is {sample.state.value} and not ready to move, expected home() first")
         connection.drive.limits.check_target(position_mm)
-        if sample.state is not DriveState.ENABLED:
-            self._homed = False
-            self._supervisor.enable()
         before_mm = sample.position_load_mm if self._last is None else self._last[0]
-        command_mm = self._ordered(position_mm, self._velocity(velocity_mm_s))
+        velocity, command_mm = self._velocity(velocity_mm_s), position_mm
+        if session is None:
+            self._supervisor.move(position_mm, velocity)
+        else:
+            command_mm = session.move_to(position_mm, velocity).command_mm
         came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
         direction = came or (0 if self._last is None else self._last[2])
         self._last = (position_mm, command_mm, direction)
-
-    def _ordered(self, position_mm: float, velocity_mm_s: float) -> float:
-        """Move; returns the command, mm."""
-        session = self._require().session
-        if session is None:
-            self._supervisor.move(position_mm, velocity_mm_s)
-            return position_mm
-        if self._homed and session.history is not None:
-            command: Command = session.move_to(position_mm, velocity_mm_s)
-            return command.command_mm
-        session.move_uncorrected(position_mm, velocity_mm_s)
-        return position_mm
 
     def _velocity(self, velocity_mm_s: float | None) -> float:
         if velocity_mm_s is not None:

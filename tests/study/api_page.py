@@ -7,7 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from hil.script import axis, names
+from hil.script import given as values
+from hil.script import names
 
 PAGE = Path(__file__).parents[2] / "hil/docs/api.md"
 HEAD = """# The names of `import hil`
@@ -30,7 +31,7 @@ def text() -> str:
         parts += [f"- {line}" for line in members(one)]
         parts.append("")
     parts.append("## Values of a call\n")
-    for given in (axis.Measuring, axis.Reversing, axis.Winding):
+    for given in (values.Measuring, values.Reversing, values.Winding):
         keys = ", ".join(f"`{key}`" for key in inspect.get_annotations(given))
         parts.append(f"- `{given.__name__}`: {described(given)} {keys}")
     parts.append("\n## Errors\n")

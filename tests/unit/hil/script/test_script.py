@@ -109,7 +109,7 @@ def test_values_of_a_call_are_checked_as_those_of_the_file(path: Path, values: d
 
 def test_nothing_moves_outside_the_limits_or_without_a_zero(path: Path) -> None:
     with hil.open(path) as axis:
-        with pytest.raises(hil.StateError, match="not homed, expected home"):
+        with pytest.raises(hil.StateError, match="not ready to move, expected home"):
             axis.move_to(10.0)
         assert not enabled(axis)
         axis.home()
@@ -120,9 +120,28 @@ def test_nothing_moves_outside_the_limits_or_without_a_zero(path: Path) -> None:
         with pytest.raises(hil.LimitError):
             axis.stream([before, before - 1000.0], 0.01)
         assert not enabled(axis), "stopped"
+        with pytest.raises(hil.StateError, match="expected home"):
+            axis.move_to(before)
+        assert not enabled(axis), "a stopped axis is not enabled by a move"
         assert axis.read().motor_mm == pytest.approx(before, abs=1e-3)
     with pytest.raises(hil.StateError, match="is not open"):
         axis.read()
+
+
+def test_an_axis_file_that_ends_with_the_drive_is_moved_and_read(tmp_path: Path) -> None:
+    path = tmp_path / "X.toml"
+    path.write_text(f'{bench_axis.AXIS}\n[drive]\nbackend = "bench"\nmachine = "geometric"\nseed = 5\n')
+    with hil.open(path) as axis:
+        axis.home()
+        with pytest.raises(hil.InputError, match="velocity_mm_s"):
+            axis.move_to(40.0)
+        for target_mm in (40.0, 10.0):
+            axis.move_to(target_mm, 50.0)
+            assert axis.read().motor_mm == pytest.approx(target_mm, abs=1e-3)
+        assert axis.read().instrument_mm is None
+        assert {one.direction for one in axis.watch(0.2)} == {-1}
+        with pytest.raises(hil.CapabilityError, match="no instrument"):
+            axis.stream([10.0], 0.01)
 
 
 def test_ctrl_c_stops_the_axis_keeps_the_rows_and_the_job_goes_on(path: Path) -> None:
