@@ -1,5 +1,6 @@
 """Fixtures that more than one corner of the tests uses; anything of a single corner lives there."""
 
+import gc
 import os
 import signal
 import socket
@@ -33,10 +34,16 @@ def vcan_here() -> bool:
 def pytest_addoption(parser: pytest.Parser) -> None:
     """`pytest tests/contract/test_effects.py --effects FILE.py` runs the suite on a user's own effects.
 
-    `pytest -m "" tests/integration/test_modbus_fault_campaign.py --seeds 6` runs that campaign whole; two cores have no time for it.
+    `pytest tests/integration/test_modbus_fault_campaign.py --seeds 7` runs that campaign whole; two cores have no time for it.
     """
     parser.addoption("--effects", metavar="FILE.py", action="append", default=[], help="Python code with EFFECTS = (…)")
-    parser.addoption("--seeds", metavar="N", type=int, default=1, help="faults of each kind in the campaigns, 1")
+    parser.addoption(
+        "--seeds",
+        metavar="N",
+        type=int,
+        default=1,
+        help="faults of each kind in the campaigns, and times as many machines in a study, 1",
+    )
 
 
 def pytest_configure() -> None:
@@ -71,6 +78,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         if "vcan" in names and elsewhere is not None:
             item.add_marker(elsewhere)
     items.sort(key=lambda item: "guest" not in item.keywords)
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Garbage is not looked for among what collecting 9000 tests made: that takes a twentieth of the time of all tests.
+
+    Only in the processes of xdist: study/mutants.py asks the collector for functions.
+    """
+    if hasattr(session.config, "workerinput"):
+        gc.collect()
+        gc.freeze()
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

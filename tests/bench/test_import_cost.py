@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from statistics import median
@@ -20,14 +21,6 @@ LOOK = (
 )
 
 
-MEASURED = (
-    "import resource, subprocess, sys\n"
-    "out = subprocess.run(sys.argv[1:], capture_output=True, text=True, check=True).stdout\n"
-    "used = resource.getrusage(resource.RUSAGE_CHILDREN)\n"
-    "print(used.ru_utime + used.ru_stime, out)"
-)
-
-
 @pytest.fixture(scope="module")
 def compiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return installed(tmp_path_factory.mktemp("compiled"))
@@ -35,10 +28,14 @@ def compiled(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
 
 def _ran(env: dict[str, str], code: str, *arguments: str) -> tuple[float, str]:
     """Processor seconds of a process that runs this, and what it printed."""
-    words = [sys.executable, "-c", MEASURED, sys.executable, "-c", code, *arguments]
-    answer = subprocess.run(words, env=env, capture_output=True, text=True, check=True)
-    seconds, _, printed = answer.stdout.partition(" ")
-    return float(seconds), printed.strip()
+    words = [sys.executable, "-c", code, *arguments]
+    with subprocess.Popen(words, env=env, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        printed = process.stdout.read()
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = os.waitstatus_to_exitcode(status)
+    assert process.returncode == 0
+    return used.ru_utime + used.ru_stime, printed.strip()
 
 
 @pytest.mark.parametrize("verb", ["--help", *VERBS])

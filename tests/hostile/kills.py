@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from functools import cache
+from itertools import product
 from pathlib import Path
 from random import Random
 from tempfile import TemporaryDirectory
@@ -257,8 +258,7 @@ def breaks(moments: int, verbs: tuple[str, ...] = BROKEN_OFF, methods: tuple[str
     """So many random moments of each verb with each method; the kinds of interruption take turns."""
     random = Random(f"{moments}")
     return [
-        Break(verb, method, WAYS[number % len(WAYS)], random.random(), number)
-        for verb in verbs
-        for method in methods
+        Break(verb, method, WAYS[(turn + number) % len(WAYS)], random.random(), number)
+        for turn, (verb, method) in enumerate(product(verbs, methods))
         for number in range(moments)
     ]

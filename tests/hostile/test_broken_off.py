@@ -20,7 +20,9 @@ def test_resumed_or_refused_and_no_row_in_another_frame(case: Break) -> None:
     assert run(case).complaints == []
 
 
-@pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in breaks(3)])
+@pytest.mark.parametrize(
+    "case", [pytest.param(case, id=str(case)) for case in breaks(1, ("calibrate", "lost-motion", "close-loop"))]
+)
 def test_whatever_verb_was_broken_off(case: Break) -> None:
     assert run(case).complaints == []
 

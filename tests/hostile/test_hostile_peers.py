@@ -8,7 +8,6 @@ from hostile.places import VERBS
 
 pytestmark = pytest.mark.outside
 
-FEW, MORE = sample(1, ("verify", "doctor", "circle", "calibrate")), sample(1, tuple(VERBS))
 LEAST = {"canopen": 40, "modbus": 15, "drive": 8, "instrument": 15}
 
 
@@ -16,11 +15,6 @@ def test_there_are_enough_kinds() -> None:
     assert {wire: len(kinds) >= LEAST[wire] for wire, (kinds, _, _) in WIRES.items()} == dict.fromkeys(WIRES, True)
 
 
-@pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in FEW])
+@pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in sample(1, tuple(VERBS))])
 def test_it_ends_in_time_with_the_right_error_and_nothing_wrong(case: Case) -> None:
-    assert run(case).complaints == []
-
-
-@pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in MORE if case not in FEW])
-def test_more_of_them_do(case: Case) -> None:
     assert run(case).complaints == []

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -183,12 +183,10 @@ def _seconds(
 
 
 @pytest.fixture
-def _only_new_objects() -> Iterator[None]:
+def _only_new_objects() -> None:
     """Collections before a round look at what the readers left, not at the hundreds of megabytes of the other tests."""
     gc.collect()
     gc.freeze()
-    yield
-    gc.unfreeze()
 
 
 @pytest.mark.outside

@@ -359,7 +359,7 @@ def test_whatever_happens_at_some_frames(happening: str, tmp_path: Path) -> None
 @both
 def test_whatever_happens_at_every_frame(name: str, happening: str, tmp_path: Path) -> None:
     first, last = frames_of(name, tmp_path)
-    for frame in range(first, last + 1, EVERY if name == "simulated_array" else 1):
+    for frame in range(first, last + 1, EVERY):
         assert happens_at(name, happening, frame, tmp_path), frame
     assert not happens_at(name, happening, 10 * last, tmp_path)
 
