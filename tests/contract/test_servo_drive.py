@@ -54,7 +54,7 @@ def test_enable_holds_the_axis_where_it_is(rig: Rig) -> None:
         assert sample.position_load_mm == pytest.approx(before, abs=1e-4)
 
 
-@pytest.mark.parametrize("target_mm", [0.0, 12.5, -2.0, 250.0])
+@pytest.mark.parametrize("target_mm", [-2.0, 250.0])
 def test_a_move_arrives_from_either_side(rig: Rig, target_mm: float) -> None:
     with rig.drive as drive:
         drive.enable()

@@ -13,7 +13,7 @@ from fuzz.targets import TARGETS
 
 CASES = Path(__file__).parent / "cases"
 SLOWEST_S = 2.0
-SHORT_RUNS, SHORT_S = 2000, 5
+SHORT_RUNS, SHORT_S = 500, 2
 
 
 @pytest.mark.parametrize("name", TARGETS)

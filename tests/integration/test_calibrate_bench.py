@@ -40,6 +40,7 @@ LOW_UM, HIGH_UM = 6.0, 7.0
 RUNS = 5
 SECTIONS = 9
 STD_UM = 0.15
+KILLS = 8
 SAMPLES = 15  # of a reading: 0.3 s at 50 Hz
 
 
@@ -198,17 +199,17 @@ def test_asked_to_end_it_says_so_in_one_line_keeps_its_rows_and_names_the_way_on
 
 
 @pytest.mark.parametrize("mode", ["bidirectional", "unidirectional+backlash"])
-def test_killed_20_times_it_resumes_to_the_end_and_loses_nothing(tmp_path: Path, mode: str) -> None:
+def test_killed_again_and_again_it_resumes_to_the_end_and_loses_nothing(tmp_path: Path, mode: str) -> None:
     correction = f'mode = "{mode}"\nband_um = [{LOW_UM}, {HIGH_UM}]'
     axis = bench_axis.lay_out(tmp_path, machine="typical", sections=9, runs=6, correction=correction)
     generator = random.Random(mode)
     kept: dict[str, list[str]] = {}
     stored: set[str] = set()
     kills_with_tables = 0
-    for attempt in range(20):
+    for attempt in range(KILLS):
         with calibrating(axis) as process:
             begun = progress(tmp_path)
-            if attempt == 19:  # how far the kills before let it come is the host's matter
+            if attempt == KILLS - 1:  # how far the kills before let it come is the host's matter
 
                 def happened() -> bool:
                     return (tmp_path / "X-campaign/tables.sealed").exists()

@@ -23,7 +23,7 @@ from hil.lost_motion.fit import MeasuredReversal, fit
 from sim_backends.plant.drive_train import DriveTrain, Guide, WindUp
 from sim_backends.plant.hysteresis import Backlash, LostMotion, Reversal
 
-MACHINES, SEQUENCES, STROKES = 50, 10, 20
+MACHINES, SEQUENCES, STROKES = 10, 10, 20
 TRAINS = int(os.environ.get("HIL_DRIVE_TRAINS", "1"))
 """Machines of the second kind, ten sequences each; 50 make the 500 sequences that the figures in the README are of."""
 
@@ -49,7 +49,7 @@ def measured(lost: LostMotion, distance_mm: float) -> MeasuredReversal:
 
 @pytest.mark.outside
 def test_no_over_compensation_after_any_strokes(record_property: Callable[[str, object], None]) -> None:
-    """500 sequences of 20 strokes each, from a thirtieth of the rise to sixteen times it."""
+    """100 sequences of 20 strokes each, from a thirtieth of the rise to sixteen times it."""
     over, off, forgetful = dict.fromkeys(("two tanh", "straight pieces"), 0.0), {}, 0.0
     off = dict(over)
     for seed in range(MACHINES):

@@ -125,7 +125,7 @@ def test_other_measurements_are_corrected(
 
 
 def test_a_machine_with_z_says_how_it_is_approached(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = machine(tmp_path, z=True, drive=probe_files.CANOPEN)
+    path = machine(tmp_path, z=True)
     assert main(["probe", "measure", str(path), "--dry-run"]) == 0
     assert "z: at 40 mm on the way, lowered to 30 mm to measure" in capsys.readouterr().out
     assert main(["probe", "measure", str(path), "--json", str(tmp_path / "out.json")]) == 0
