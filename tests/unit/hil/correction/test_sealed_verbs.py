@@ -13,13 +13,13 @@ import pytest
 from drivers.errors import InputError
 from hil.correction.sealed import DamagedError, ForeignSignatureError, WrongPasswordError, load_private_key
 from hil.correction.sealed import seal as sealed_bytes
-from hil.correction.sealed.commands import check, open_, seal, sign
+from hil.correction.sealed.commands import check_options, open__options, seal_options, sign_options
 
 
 def call(*argv: str) -> int:
     parser = argparse.ArgumentParser(prog="hil")
     subparsers = parser.add_subparsers(required=True)
-    for verb in (seal, open_, sign, check):
+    for verb in (seal_options, open__options, sign_options, check_options):
         verb.add_parser(subparsers)
     args = parser.parse_args(argv)
     code: int = args.run(args)

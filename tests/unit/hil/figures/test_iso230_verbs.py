@@ -10,7 +10,7 @@ import pytest
 from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
-from hil.figures.commands import iso230 as verb
+from hil.figures.commands import iso230_options as verb
 
 SMALL = "run,direction,target_mm,measured_mm\n" + "".join(
     f"{run},{d:+d},{p},{p + 0.001 * run * d}\n" for run in (1, 2, 3) for d in (1, -1) for p in (0.0, 10.0, 21.0)
