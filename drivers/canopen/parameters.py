@@ -21,7 +21,7 @@ ON_COMMAND = 0x01  # 1010h:1 and 1011h:1 when read
 
 
 @dataclass(frozen=True)
-class Access:
+class TimedValue:
     """A value read, and how long its answer took (the clock's time, s)."""
 
     value: Value
@@ -61,13 +61,13 @@ class CanOpenParameters:
         return found
 
     # -- one --------------------------------------------------------------------------------------------------------
-    def read(self, found: EdsEntry) -> Access:
+    def read(self, found: EdsEntry) -> TimedValue:
         """The present value. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
         entry, clock = found.entry, self._node.clock
         start_ns = clock.now_ns()
         value = entry.unpack(self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
         self._found.setdefault(entry.key, value)
-        return Access(value, (clock.now_ns() - start_ns) * 1e-9)
+        return TimedValue(value, (clock.now_ns() - start_ns) * 1e-9)
 
     def check(self, found: EdsEntry, value: Value) -> None:
         """Raise CapabilityError for an entry that may not be written, InputError for a value outside its type, or outside its limits
