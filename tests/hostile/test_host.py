@@ -84,8 +84,9 @@ def _some(verb: str, kind: str, folder: Path, most: int) -> list[int]:
     return sorted({round(at) for at in np.linspace(1, count, min(most, count))}) if count else []
 
 
-@pytest.mark.parametrize("kind", disks.KINDS)
-@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb != "probe"])
+@pytest.mark.parametrize(
+    ("verb", "kind"), list(zip([verb for verb in VERBS if verb != "probe"], itertools.cycle(disks.KINDS), strict=False))
+)
 def test_a_disk_that_is_full_at_any_write_of_a_verb(verb: str, kind: str, tmp_path: Path) -> None:
     for at in _some(verb, kind, tmp_path / "counted", 3):
         found = disks.run(verb, kind, at, tmp_path / f"{at}")
