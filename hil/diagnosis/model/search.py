@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.diagnosis.model.candidates import Catalogue, Ranked
 from hil.diagnosis.model.evidence import Fit, Noise, Part, Scored, score
@@ -21,6 +22,8 @@ NEAR = 12.0
 """Log odds below the best candidate down to which others are followed."""
 SAME_NOISE = 4.0
 """Log odds below the best memory from which another one is no longer asked."""
+FEWEST_RUNS = 3
+"""Runs from which a function of the place must show in more than one of them."""
 FOLLOWED, REFINED = 6, 8
 
 
@@ -172,19 +175,29 @@ class Search:
         return 2.0 * USUAL.richer if one.effect.implausible(term) else 0.0
 
     def rests_on_few(self, parts: Sequence[Part], one: Alternative) -> bool:
-        """Whether nothing is left of a part without the few rows to which it gives most, and it is no larger there than the noise's
-        outliers are."""
+        """Whether nothing is left of a part without the few rows to which it gives most, where it is no larger than the noise's
+        outliers are; or, of what is a function of the place, without the run to which it gives most.
+        """
         part = one.part
         if part.of is not None and (part.of.effect.once or not part.free.shape[1]):
             return False
         fit = Fit(self.rows, [*parts, part], one.noise)
         course = fit.course_um(part)
         away = np.abs(course - np.median(course))
+        if part.of is not None and part.of.effect.static and self.rows.campaign.runs >= FEWEST_RUNS:
+            run = self.rows.campaign.run
+            if self._is_nothing_without(run == np.argmax(np.bincount(run, away**2)), parts, one):
+                return True
         if float(np.max(away)) > USUAL.outlier * fit.sigma:
             return False
-        scale = self.rows.scale.copy()
-        scale[np.argsort(-away)[: max(3, math.ceil(USUAL.few * len(course)))]] *= 1e3
+        most = np.zeros(len(course), dtype=np.bool_)
+        most[np.argsort(-away)[: max(3, math.ceil(USUAL.few * len(course)))]] = True
+        return self._is_nothing_without(most, parts, one)
+
+    def _is_nothing_without(self, out: NDArray[np.bool_], parts: Sequence[Part], one: Alternative) -> bool:
+        scale = self.rows.scale * np.where(out, 1e3, 1.0)
         beside = Fit(self.rows.with_scale(scale), parts, one.noise)
+        part = one.part
         gain = beside.random_gain(part.random)[0] if part.is_remainder else beside.gain(part.free)
         return gain + part.log_prior <= 0.0
 

@@ -13,6 +13,7 @@ from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.result import OUTSIDE, Diagnosis
 from hil.effects import Action
 from hil.effects.model import Model
+from hil.records.rows import Records
 
 
 def sensors(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
@@ -187,3 +188,21 @@ def test_beside_a_table_measured_before_what_came_since_is_named_and_corrected(e
     read = Model.from_json(found.extended.to_json())
     left_um = later.uncorrected_error_um + read.correction_um(columns_of(later))
     assert np.std(left_um) < 1.4 * 0.3
+
+
+@pytest.mark.parametrize("period_mm", [2.0, 3.1, 5.0])
+def test_a_part_with_harmonics_beside_drift_of_each_run_is_one_part_and_nothing_else(period_mm: float) -> None:
+    """Three runs that begin elsewhere and go on, with a reading that wanders and starts anew in each."""
+    rng = np.random.default_rng(4)
+    run = np.repeat([1.0, 2.0, 3.0], 130)
+    target = np.concatenate([begin + 0.131 * np.arange(130) for begin in (-20.0, -9.0, 3.0)])
+    turn = 2.0 * np.pi * target / period_mm
+    drift = np.concatenate([20.0 * rng.normal() + np.cumsum(0.25 * rng.normal(size=130)) for _ in range(3)])
+    error_um = 2.4 * np.sin(turn) + 0.8 * np.sin(2.0 * turn + 1.0) + drift + 0.4 * rng.normal(size=390)
+    columns = {"run": run, "direction": np.ones(390), "target_mm": target, "time_s": 8.0 * np.arange(390)}
+    found = diagnose(Records.of(columns | {"measured_mm": target + error_um / 1000.0}))
+    (finding,) = [one for one in found.findings if one.effect != "beam_drift"]  # that is what the drift is
+    assert finding.effect == "cyclic"
+    assert finding.confidence > 0.9
+    assert min(one.theta[0] for one in finding.terms) <= period_mm * 1.01
+    assert finding.explanation.count("a part that turns") == 1
