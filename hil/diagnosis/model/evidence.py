@@ -52,6 +52,15 @@ class Noise:
         offset = math.exp(float(self.log_sd[OFFSET])) / USUAL.offset
         return -0.5 * (self.memory.ar / scale) ** 2 - math.log1p(offset**2)
 
+    @property
+    def has_large_offsets(self) -> bool:
+        """Whether the runs' offsets are beyond the scale of their prior: a cause may be all of them."""
+        return math.exp(float(self.log_sd[OFFSET])) > USUAL.offset
+
+    def with_usual_offsets(self) -> Noise:
+        """The same with offsets of the scale of their prior."""
+        return replace(self, log_sd=np.minimum(self.log_sd, np.array([np.inf, np.inf, math.log(USUAL.offset)])))
+
     def smoother(self) -> Noise:
         """The same with a table of a fifth of its roughness."""
         return replace(self, log_sd=np.maximum(self.log_sd - np.array([1.6, 1.6, 0.0]), LOWEST))
