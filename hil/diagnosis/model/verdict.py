@@ -150,26 +150,29 @@ class Verdict:
 
     @property
     def carriers(self) -> tuple[Carrier, ...]:
-        """What carries the remainders, the largest first, without those that are the error of an effect's form."""
-        found = []
+        """What carries the remainders, the largest first; those of the same columns are one, the error of a form is none."""
+        left: dict[frozenset[str], list[Part]] = {}
         for part in self.parts:
-            if not part.is_remainder:
-                continue
-            course = self.fit.course_um(part)
+            if part.is_remainder:
+                left.setdefault(frozenset(part.names), []).append(part)
+        found = []
+        for parts in left.values():
+            course = np.sum([self.fit.course_um(part) for part in parts], axis=0)
             course = course - self.search.catalogue.table.held(course[:, None])[:, 0]
             size = float(np.std(course))
-            if self._is_form(part, size):
+            if self._is_form(parts[0], size):
                 continue
-            at = self.fit.where(part, "random")
-            slope = part.random.T @ course / (len(course) * max(size, 1e-12))
-            std = float(np.sqrt(max(float(slope @ self.fit.covariance[at, at] @ slope), 0.0)))
-            gain = self.search.scored(self.parts)[0].log_p - self._without(part).log_p
-            probability = float(np.exp(-max(gain, 0.0)))
-            found.append(Carrier(part.names, Estimate(size, std), probability, self._equivalent(part.names)))
+            at = np.concatenate([np.arange(len(self.fit.beta))[self.fit.where(part, "random")] for part in parts])
+            slope = np.hstack([part.random for part in parts]).T @ course / (len(course) * max(size, 1e-12))
+            std = float(np.sqrt(max(float(slope @ self.fit.covariance[np.ix_(at, at)] @ slope), 0.0)))
+            gain = self.search.scored(self.parts)[0].log_p - self._without(parts).log_p
+            names, probability = parts[0].names, float(np.exp(-max(gain, 0.0)))
+            found.append(Carrier(names, Estimate(size, std), probability, self._equivalent(names)))
         return tuple(sorted(found, key=lambda one: -one.rms.value))
 
-    def _without(self, part: Part) -> Scored:
-        return self.search.scored([one for one in self.parts if one is not part])[0]
+    def _without(self, parts: Sequence[Part]) -> Scored:
+        gone = set(map(id, parts))
+        return self.search.scored([one for one in self.parts if id(one) not in gone])[0]
 
     def _is_form(self, part: Part, size_um: float) -> bool:
         """Whether a remainder is the error of the form of an effect in the same columns."""

@@ -33,10 +33,6 @@ def chirp(u: Array, first: float, last: float) -> Array:
     return np.asarray(np.sin(2.0 * np.pi * (first * u + 0.5 * (last - first) * u**2)))
 
 
-def time(c: dict[str, Array]) -> Array:
-    return np.asarray(c["time_s"] / c["time_s"][-1])
-
-
 CHIRPS: dict[str, tuple[Callable[[dict[str, Array]], Array], set[str]]] = {
     "of another axis": (lambda c: chirp(c["pos_y_mm"] / 300.0, 1.0, 6.0), {"pos_y_mm"}),
     "of another axis, with the direction": (
@@ -47,7 +43,6 @@ CHIRPS: dict[str, tuple[Callable[[dict[str, Array]], Array], set[str]]] = {
         lambda c: chirp(c["target_mm"] / 300.0, 2.0, 9.0) * (c["load_kg"] - 200.0) / 160.0,
         {"target_mm", "load_kg"},
     ),
-    "of time, to 25 cycles": (lambda c: chirp(time(c), 3.0, 25.0), {"time_s"}),
 }
 
 
@@ -60,7 +55,8 @@ def test_a_chirp_of_twice_the_noise_is_left_with_its_columns_and_size(name: str,
     )
     found = diagnose(records)
     assert found.unexplained
-    assert not [one.effect for one in found.findings if one.confidence > 0.5]
+    acts = {"load_deflection"} if "load_kg" in columns else set()
+    assert {one.effect for one in found.findings if one.confidence > 0.5} <= acts
     sizes = [one.rms.value for one in found.carriers if set(one.columns) == columns]
     assert sizes
     assert sizes[0] == pytest.approx(float(np.std(0.85 * course(records.columns))), rel=0.25)
