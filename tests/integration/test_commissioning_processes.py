@@ -21,6 +21,7 @@ from support.bench_axis import PASSWORDS
 from support.commissioning import PATIENT, Job, kept, look, prepare, rows_of, wait_for
 from support.sim_process import SimProcess, sim
 
+import hil
 from hil.app.terminal.main import main
 from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
@@ -96,6 +97,23 @@ def test_an_axis_is_examined_over_a_real_wire(wire: str, tmp_path: Path) -> None
         names = ["drive", "limits", "scaling", *motion, *order, "zero", *table, "instrument", "speed", "units"]
         assert [check["name"] for check in checks] == names
         assert at.stands_disabled()
+
+
+@pytest.mark.parametrize("wire", ["modbus tcp", pytest.param("vcan", marks=pytest.mark.vcan)])
+def test_a_script_moves_and_reads_an_axis_over_a_real_wire(wire: str, tmp_path: Path) -> None:
+    with shop(wire, tmp_path, velocity=80.0) as at:
+        with hil.open(at.axis) as axis:
+            axis.home()
+            readings = []
+            for target_mm in (20.0, 5.0):
+                axis.move_to(target_mm)
+                readings.append(axis.read())
+            rows = hil.Rows.of([*readings, *axis.watch(1.0)])
+        assert at.stands_disabled()
+    assert list(rows["direction"][:2]) == [1.0, -1.0]
+    assert list(rows["motor_mm"][:2]) == pytest.approx([20.0, 5.0], abs=0.001)
+    assert max(abs(rows["measured_mm"] - rows["motor_mm"])) < 0.05
+    assert len(rows) > 2
 
 
 @pytest.mark.parametrize(
