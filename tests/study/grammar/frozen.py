@@ -123,7 +123,8 @@ KINDS: dict[str, tuple[tuple[str, ...], str]] = {
 HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. The machines are drawn by a generator that
-shares no code with the diagnosis, from seed 810650 on. Those of 810650 to 810664 are of an earlier state of it; 810653 and 810654
+shares no code with the diagnosis, from seed 810650 on. Those of 810650 to 810664 are of an earlier state of it, the others
+of the one before functions of the place had to show in more than one run; 810653 and 810654
 of `missing` were looked at and are no proof. Intervals are Wilson's at 95 %.
 
 | Command | What it does |
