@@ -40,9 +40,9 @@ from hil.correction.tables import (
 from hil.figures.history import purpose_of_replay
 from hil.machine.axes_wiring import connected_across
 from hil.machine.events import Event, Listener, silent
+from hil.machine.machine import Machine
 from hil.machine.measure import bidirectional_steps, measure, other_targets
 from hil.machine.session import AxisSession
-from hil.machine.wiring import Machine
 from hil.records.journal import Campaign
 from hil.records.made_with import MadeWith
 from hil.records.rows import Floats, Records

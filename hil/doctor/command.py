@@ -18,8 +18,9 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.latency import ENOUGH_S, measure_latency
 from hil.doctor.procedure import Check, doctor, reach_mm
 from hil.figures.alignment import Alignment
+from hil.machine.machine import Machine
 from hil.machine.who_is_there import naming_who_is_there
-from hil.machine.wiring import Machine, connected, connected_registers
+from hil.machine.wiring import connected, connected_registers
 from hil.records.journal import Campaign
 
 

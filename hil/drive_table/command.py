@@ -43,9 +43,10 @@ from hil.drive_table.change import (
 )
 from hil.drive_table.proof import TOLERANCE_UM, Proof, ProofMotion, prove_by_drive, prove_by_instrument
 from hil.machine.events import Listener
+from hil.machine.machine import Machine
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import Machine, connected, connected_drive, described_table, predicted_table_s
+from hil.machine.wiring import connected, connected_drive, described_table, predicted_table_s
 from hil.records.journal import Campaign
 from hil.records.made_with import MadeWith, MadeWithError
 from hil.records.zero import read_zero

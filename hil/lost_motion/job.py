@@ -36,7 +36,7 @@ from hil.lost_motion.procedure import (
 from hil.lost_motion.published import BesidePublished, beside_published
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, Point, silent
-from hil.machine.wiring import Machine
+from hil.machine.machine import Machine
 from hil.records.journal import Campaign
 
 MEASURE, STORE = "lost motion", "lost motion store"

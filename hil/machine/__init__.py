@@ -6,6 +6,7 @@ position_check motor position against travel and rest       time_out         lik
 session        drive, instrument and correction together    set_points       command for a target
 measure        a pass of steps, and after a lost beam       dwell            averaging at a target
 signals        SIGINT, SIGTERM, SIGHUP                      wiring           axis file -> session (one axis)
-axes_wiring    the same for several axes         links          a machine's links, shared by its drives
+machine        a connected axis                   axes_wiring  the same for several axes
+links          a machine's links, shared by its drives
 canopen_wiring, modbus_wiring, bench_wiring      drives of each wire, and the bench; loaded when an axis file names them
 """

@@ -22,9 +22,10 @@ from hil.machine.cross_axis import CrossAxis
 from hil.machine.instruments import build_instrument
 from hil.machine.interrupts import ending_by_signals
 from hil.machine.links import Links
+from hil.machine.machine import Machine, session_of
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import Machine, hardware_drive, session_of
+from hil.machine.wiring import hardware_drive
 
 if TYPE_CHECKING:
     from sim_backends.bench import BenchParameters

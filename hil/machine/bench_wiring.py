@@ -14,7 +14,7 @@ from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.instruments import build_instrument
 from hil.machine.links import guarded
-from hil.machine.wiring import Machine, session_of
+from hil.machine.machine import Machine, session_of
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GaugeParameters

@@ -10,7 +10,7 @@ from drivers.instruments.replay import Recording
 from drivers.machine_recording import MachineRecorder, RecordedDrive, RecordedInstrument
 from drivers.machine_replay import MachineReplay, ReplayDrive, ReplayedInstrument
 from hil.axis.axis_file import AxisConfig
-from hil.machine.wiring import Machine, session_of
+from hil.machine.machine import Machine, session_of
 from hil.records.files import naming
 from sim_backends.clock import SimClock
 

@@ -7,42 +7,25 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drivers.clock import Clock, Waiting, WallClock
 from drivers.correction_table import RawTable, TableDescription
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
-from drivers.instrument import DistanceInstrument
 from hil.axis.axis_file import AxisConfig, DriveAxis
-from hil.axis.zero import made_with_keeper, zero_keeper
 from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.conditions import Conditions
 from hil.machine.instruments import build_instrument
 from hil.machine.interrupts import ending_by_signals
 from hil.machine.links import Links
-from hil.machine.session import AxisSession
+from hil.machine.machine import Machine, session_of
 
 if TYPE_CHECKING:  # a verb loads the wire that its axis file names
     import canopen
 
     from drivers.modbus.parameters import ModbusParameters
-    from sim_backends.bench import Bench, BenchParameters
-
-
-@dataclass(frozen=True)
-class Machine:
-    """A connected axis. bench: the simulated machine, None on hardware."""
-
-    axis: AxisConfig
-    session: AxisSession
-    bench: Bench | None = None
-
-    @property
-    def clock(self) -> Clock:
-        """The session's clock."""
-        return self.session.clock
+    from sim_backends.bench import BenchParameters
 
 
 @contextmanager
@@ -166,27 +149,3 @@ def hardware_drive(axis: DriveAxis, clock: Clock, stack: ExitStack, links: Links
     from hil.machine.modbus_wiring import modbus_drive  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
     return modbus_drive(axis, clock, modbus_endpoint(axis), axis.drive.unit, links)
-
-
-# -- session -----------------------------------------------------------------------------------------------------------
-def session_of(
-    axis: AxisConfig, drive: ServoDrive, instrument: DistanceInstrument, conditions: Conditions | None
-) -> AxisSession:
-    """A session with the settings of an axis file, not entered."""
-    stale_after_s = axis.instrument.stale_after_s
-    session = AxisSession(
-        drive,
-        instrument,
-        axis.measurement,
-        stale_after_s=stale_after_s,
-        agreement=axis.agreement,
-        conditions=conditions,
-    )
-    session.resume_within_s = axis.instrument.resume_within_s
-    session.material = axis.instrument.material
-    session.command_state.bound = axis.correction.bound
-    session.made_with = made_with_keeper(axis)
-    session.command_state.by_estimate = axis.lost_motion is not None and axis.lost_motion.travel_by == "estimate"
-    session.zero = zero_keeper(axis)
-    session.zero.guard(drive)
-    return session

@@ -30,9 +30,10 @@ from hil.diagnosis.loop.procedure import Turning
 from hil.doctor.procedure import doctor
 from hil.lost_motion.job import lost_motion_config, run_lost_motion
 from hil.machine.events import Event, Point
+from hil.machine.machine import Machine
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import Machine, connected, connected_drive
+from hil.machine.wiring import connected, connected_drive
 from hil.records.zero import FILE, ZeroError, read_zero, write_zero
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.faults import Fault, FaultKind

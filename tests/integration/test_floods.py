@@ -23,8 +23,8 @@ from hil.machine.bench_wiring import bench_parameters
 from hil.machine.canopen_wiring import canopen_drive
 from hil.machine.instruments import build_instrument
 from hil.machine.links import Links
+from hil.machine.machine import session_of
 from hil.machine.session import AxisSession
-from hil.machine.wiring import session_of
 from sim_backends.bench import Bench
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import attach_to_wire

@@ -22,7 +22,8 @@ from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.latency import dated, measure_latency
 from hil.figures.latency import Latency
 from hil.machine.bench_wiring import bench_parameters
-from hil.machine.wiring import Machine, connected
+from hil.machine.machine import Machine
+from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records, read_csv
 from sim_backends.gauge import GaugeParameters

@@ -25,10 +25,11 @@ from hil.calibration.straightness import straightness_of
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableSet
 from hil.machine.axes_wiring import connected_across
+from hil.machine.machine import Machine
 from hil.machine.measure import bidirectional_steps, measure
 from hil.machine.session import AxisSession, PositionReading
 from hil.machine.set_points import CommandState
-from hil.machine.wiring import Machine, connected
+from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from sim_backends.bench import Bench
 from sim_backends.faults import Fault, FaultKind

@@ -14,8 +14,8 @@ from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.correction.store import SealedStore
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener
+from hil.machine.machine import Machine
 from hil.machine.session import AxisSession
-from hil.machine.wiring import Machine
 from hil.records.journal import Campaign
 
 Tell = Callable[[str], None]

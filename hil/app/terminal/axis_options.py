@@ -21,7 +21,7 @@ from hil.effects import ALL, Effect
 from hil.machine.measure import Step
 
 if TYPE_CHECKING:  # the drivers take longer to load than a dry run needs
-    from hil.machine.wiring import Machine
+    from hil.machine.machine import Machine
 
 
 def tell_bench(axis: DriveAxis) -> None:

@@ -15,9 +15,10 @@ from hil.axis.axis_file import AxisConfig, InstrumentConfig
 from hil.calibration.in_motion_settings import InMotion
 from hil.machine.axes_wiring import connected_across
 from hil.machine.conditions import Conditions
+from hil.machine.machine import Machine
 from hil.machine.replay import recorded, replayed
 from hil.machine.who_is_there import naming_who_is_there
-from hil.machine.wiring import Machine, connected
+from hil.machine.wiring import connected
 
 
 def limited(axis: AxisConfig, limit_um: float | None) -> AxisConfig:

@@ -24,7 +24,7 @@ from hil.diagnosis.stored import STORED
 from hil.figures.history import purpose_of_replay
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.events import Listener, silent
-from hil.machine.wiring import Machine
+from hil.machine.machine import Machine
 from hil.records.journal import Campaign
 
 CONSENT_S, BRING_S = 600.0, 3600.0

@@ -19,7 +19,7 @@ from hil.lost_motion.circle.procedure import APPROACH_MM_S, RUN_IN_MM, CircleRun
 from hil.lost_motion.job import stored_now
 from hil.machine.axes_wiring import connected_axes
 from hil.machine.events import Event, Listener, Measured, silent
-from hil.machine.wiring import Machine
+from hil.machine.machine import Machine
 from hil.records.journal import Campaign
 
 CIRCLE = "circle"

@@ -25,8 +25,8 @@ from hil.diagnosis.loop.procedure import Loop, Turning
 from hil.diagnosis.next.planned_run import PlannedRun, Point
 from hil.machine.conditions import AskedConditions, NoConditions
 from hil.machine.events import silent
+from hil.machine.machine import Machine
 from hil.machine.session import AxisSession
-from hil.machine.wiring import Machine
 
 Until = Callable[[Callable[[], bool], str], None]
 RUN = PlannedRun("levels", "measure by turns", (Point(1, 1, 0.0, 1.0),), 3.0, "somebody has to bring load to 60 kg")
