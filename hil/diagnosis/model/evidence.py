@@ -301,6 +301,15 @@ class Fit:
         )
 
     @cached_property
+    def _own(self) -> Singles:
+        """What sums columns of the rows to their products with the parts', (n, k)."""
+        return self.rows.unwhite(self.white[:, ~self._base], self.noise.memory).astype(np.float32)
+
+    @cached_property
+    def _single(self) -> Singles:
+        return np.asarray(self.inverse.T, dtype=np.float32)
+
+    @cached_property
     def score(self) -> Singles:
         """Derivative of the likelihood to what each row is said to have, (n,)."""
         return self.rows.unwhite(self.rest, self.noise.memory).astype(np.float32)
@@ -336,9 +345,8 @@ class Fit:
         reduced = self.rows.reduced(rows, k, self.noise.memory, of)
         by_design = np.empty((len(rows), self.white.shape[1]), dtype=np.float32)
         by_design[:, self._base] = reduced.by_base
-        own = self.rows.unwhite(self.white[:, ~self._base], self.noise.memory).astype(np.float32)
-        by_design[:, ~self._base] = rows @ own
-        h = (by_design @ self.inverse.T.astype(np.float32)).reshape(-1, k, by_design.shape[1])
+        by_design[:, ~self._base] = rows @ self._own
+        h = (by_design @ self._single).reshape(-1, k, by_design.shape[1])
         a = (reduced.products - h @ h.transpose(0, 2, 1)).astype(float)
         b = (rows @ self.score).reshape(-1, k).astype(float)
         return a, np.diagonal(reduced.products, axis1=1, axis2=2).astype(float), b
