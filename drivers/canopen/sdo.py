@@ -476,7 +476,11 @@ class SdoClient:
         self.link.poll()  # frames in the queue were sent before this request
         self._running = running
         self.counters.transfers += 1
-        running.start()
+        try:
+            running.start()
+        except BaseException:
+            self._running = None  # nothing was sent: the channel is free for what still works
+            raise
 
     def end(self) -> None:
         """Release the channel and account for the outcome."""

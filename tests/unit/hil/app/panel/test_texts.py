@@ -79,7 +79,7 @@ def test_what_procedures_say_is_said_in_every_language() -> None:
     assert Texts("de").said("run 2 of 5, + → −") == "Lauf 2 von 5, + → −"
     assert Texts("en").said("run 2 of 5, + → −") == "run 2 of 5, + → −"
     one_way = "target 6.18 mm was measured in direction -1 only, expected both directions as at the others"
-    assert Texts("de").said(one_way).startswith("Position 6,18 mm wurde nur in Richtung −1 gemessen")
+    assert Texts("de").said(one_way).startswith("Position 6,18 mm nur in Richtung −1 gemessen")
     assert Texts("en").said(one_way) == one_way.replace("-1", "−1")
     assert Texts("zh").said("a drive's own words") == "a drive's own words"
 

@@ -123,7 +123,13 @@ def test_the_session_goes_by_it_for_that_job_alone(desk: Desk, monkeypatch: pyte
     keeper = SimpleNamespace(anew=False, instrument_zeroed=False)
     machine = SimpleNamespace(session=SimpleNamespace(zero=keeper, conditions=None), axis=axis)
     place: Any = SimpleNamespace(
-        axis=axis, store=None, machine=lambda: machine, opened_store=lambda: None, listener=None, tell=print
+        axis=axis,
+        store=None,
+        machine=lambda: machine,
+        opened_store=lambda: None,
+        listener=None,
+        tell=print,
+        computing=None,
     )
     seen: list[tuple[bool, bool]] = []
 
