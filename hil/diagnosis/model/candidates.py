@@ -102,10 +102,14 @@ class Ranked:
 
 
 class Catalogue:
-    """All effects on their grids for one campaign."""
+    """All effects on their grids for one campaign.
 
-    def __init__(self, rows: Rows, effects: Sequence[Effect]) -> None:
+    absorbing: whether a declared table was measured with some of each effect; False where the causes came after it
+    """
+
+    def __init__(self, rows: Rows, effects: Sequence[Effect], *, absorbing: bool = True) -> None:
         self.rows, self.campaign = rows, rows.campaign
+        self._absorbing = absorbing and rows.is_declared
         self.grids: list[Grid] = []
         self.refining: dict[str, list[Form]] = {}
         self.wandering: list[Candidate] = []
@@ -141,7 +145,7 @@ class Catalogue:
         if not np.any(kept):
             return
         scanned = groups
-        if self.rows.is_declared and not effect.static:
+        if self._absorbing and not effect.static:
             scanned = (columns - self.table.held(columns)).reshape(groups.shape)
         if effect.id in self._varying:
             scanned = np.concatenate(
@@ -164,7 +168,7 @@ class Catalogue:
         if form.shrunk:
             return Part(effect.id, form.inputs, none, columns * math.sqrt(candidate.ratio), none, log_prior, candidate)
         held = none
-        if self.rows.is_declared and not effect.static:  # the table was measured with some of it
+        if self._absorbing and not effect.static:  # the table was measured with some of it
             held = self.table.absorbed(columns)
         if effect.id in self._varying:
             held = self._mean
@@ -228,7 +232,7 @@ class Catalogue:
 
     def _columns(self, one: Candidate) -> Floats:
         columns = one.effect.basis(one.form, one.theta, self.campaign.columns)
-        return columns - self.table.held(columns) if self.rows.is_declared and not one.effect.static else columns
+        return columns - self.table.held(columns) if self._absorbing and not one.effect.static else columns
 
     def richer(self, part: Part, fit: Fit) -> Iterator[Part]:
         """The same effect by the same column in its richer forms, at the same parameters or the best of their grid."""

@@ -113,7 +113,7 @@ def _weigh_part(
 ) -> list[Hypothesis]:
     """The gain of each cause over none in records of complete columns; causes that they cannot show are left out."""
     rows = rows_of(prepare(records), declared)
-    search = Search(rows, Catalogue(rows, effects_beside(rows, effects)), None)
+    search = Search(rows, Catalogue(rows, effects_beside(rows, effects), absorbing=False), None)
     known = [term for term in beside if all(name in rows.campaign.columns for name in term.needs)]
     parts = tuple(_part_of(search, term) for term in known)
     scored = search.scored(parts)
