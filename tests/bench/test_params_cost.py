@@ -184,14 +184,14 @@ def test_eight_nodes_at_once(eds: Path, tmp_path: Path, record_property: Record)
     _, busy_s, write_s = found.write
     _, all_busy_s, all_s = found.whole
     plain_s = _plain_loop(eds, tmp_path / "plain", contents)
-    likely_s = seconds_together([each.whole for each in predictions], TURNAROUND_S)[1]
+    most_s = seconds_together([each.whole for each in predictions], TURNAROUND_S)
     frames = sum((each.whole for each in predictions), WireTime()).frames
     figures = {
         "bus_limit_write": write_s / busy_s,
         "bus_limit_whole": all_s / all_busy_s,
         "faster_write": plain_s / write_s,
         "faster_whole": plain_s / all_s,
-        "predicted": all_s / likely_s,
+        "predicted": all_s / most_s,
     }
     what = f"{EACH} parameters to each of 8 drives"
     row(record_property, f"{what}, written and read back", write_s, busy_s, "s", beside="the bus alone", asked="≤ 1.3")
@@ -205,7 +205,7 @@ def test_eight_nodes_at_once(eds: Path, tmp_path: Path, record_property: Record)
         beside="a plain loop over canopen",
         asked="≤ 0.25",
     )
-    print(f"predicted {likely_s:.4f} s ({frames} frames)")
+    print(f"predicted at most {most_s:.4f} s ({frames} frames)")
     assert all(report.ending is Ending.WRITTEN for report in found.reports)
     assert figures["bus_limit_write"] <= 1.3
     assert figures["bus_limit_whole"] <= 1.3
