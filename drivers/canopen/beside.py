@@ -9,7 +9,8 @@ from __future__ import annotations
 import io
 import queue
 import threading
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Self
 
@@ -135,12 +136,8 @@ class Beside:
 
     def _upload(self, index: int, subindex: int) -> bytes:
         self._check_access()
-        try:
+        with _errors_of_canopen():
             data = self.drive.sdo.read_bytes(index, subindex)
-        except AbortError as error:
-            raise canopen.SdoAbortedError(error.code) from error
-        except TransportError as error:
-            raise canopen.SdoCommunicationError(str(error)) from error
         variable: ODVariable | None = self.node.object_dictionary.get_variable(index, subindex)
         if variable is None or not variable.fixed_size:
             return data
@@ -151,12 +148,8 @@ class Beside:
         self._check_access()
         if what := self._why_not(index, subindex):
             raise StateError(f"drive {self.drive.name} is hil's, not written beside it: {what}")
-        try:
+        with _errors_of_canopen():
             self.drive.sdo.write_bytes(index, subindex, bytes(data))
-        except AbortError as error:
-            raise canopen.SdoAbortedError(error.code) from error
-        except TransportError as error:
-            raise canopen.SdoCommunicationError(str(error)) from error
 
     def _why_not(self, index: int, subindex: int) -> str | None:
         entry = Entry(index, subindex, DataType.U32, "")
@@ -172,6 +165,17 @@ class Beside:
             raise StateError("a stream writes nothing beside a drive; assign the object's value")
         stream = io.BytesIO(self._upload(index, subindex))
         return stream if "b" in mode else io.TextIOWrapper(stream, settings.get("encoding", "ascii"))
+
+
+@contextmanager
+def _errors_of_canopen() -> Iterator[None]:
+    """Errors of our client, as those that users of the package know."""
+    try:
+        yield
+    except AbortError as error:
+        raise canopen.SdoAbortedError(error.code) from error
+    except TransportError as error:
+        raise canopen.SdoCommunicationError(str(error)) from error
 
 
 def dictionary(drive: CanOpenDrive) -> canopen.ObjectDictionary:

@@ -90,7 +90,7 @@ class Axis:
         """The drive's parameters: backup, diff, download, verify, restore, store."""
         from hil.script.parameters import Parameters  # noqa: PLC0415
 
-        return Parameters(self)
+        return Parameters(self.file, self.run)
 
     def __repr__(self) -> str:
         return f"<axis {self.name} of {self.file.path}{'' if self._connection else ', not open'}>"
@@ -335,7 +335,7 @@ class Axis:
         instrument_zeroed: bool = False,
         **how: Unpack[Measuring],
     ) -> CalibrationResult:
-        """Measure, compute tables, store them sealed, prove them, as `hil calibrate --without-proof`; `verify()` is the proof."""
+        """Measure, compute tables and store them sealed, as `hil calibrate --without-proof`; `verify()` proves them."""
         from hil.calibration.job import CALIBRATE, calibration_job  # noqa: PLC0415  (loads slowly)
 
         axis, zero = self._measured_file(measurement=how), _stated(new_zero, instrument_zeroed)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from hil.axis.axis_file import DriveAxis
 from hil.script.results import ParameterComparison, ParameterWriting
 
 if TYPE_CHECKING:
     from drivers.parameters import ParameterValue
     from hil.app.jobs.job import Job
     from hil.parameters.set_file import ParameterSet
-    from hil.script.axis import Axis
 
     Wanted = str | Path | Mapping[str, ParameterValue]
 
@@ -20,50 +20,50 @@ if TYPE_CHECKING:
 class Parameters:
     """A set is a file (TOML, DCF …), or values in the drive's units by address ("6072h", "2201h:01") or register name."""
 
-    def __init__(self, axis: Axis) -> None:
-        self._axis = axis
+    def __init__(self, file: DriveAxis, run: Callable[[Job], Any]) -> None:
+        self._file, self._run = file, run
 
     def backup(self, path: str | Path | None = None) -> Path:
         """Write every writable parameter to a file. path: None, beside the axis file, named by the time."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        backed_up = self._axis.run(job.backup_job(self._axis.file, None if path is None else Path(path)))
+        backed_up = self._run(job.backup_job(self._file, None if path is None else Path(path)))
         return Path(backed_up.path)
 
     def diff(self, wanted: Wanted) -> ParameterComparison:
         """Compare the drive with a set; nothing is written."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        found = self._axis.run(job.compare_job(self._axis.file, self._set(wanted)))
-        return ParameterComparison(self._axis.file, None, found)
+        found = self._run(job.compare_job(self._file, self._set(wanted)))
+        return ParameterComparison(self._file, None, found)
 
     def verify(self, wanted: Wanted) -> ParameterComparison:
         """As `diff`, kept as the proof of a download."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        found = self._axis.run(job.compare_job(self._axis.file, self._set(wanted), job.VERIFY))
-        return ParameterComparison(self._axis.file, None, found)
+        found = self._run(job.compare_job(self._file, self._set(wanted), job.VERIFY))
+        return ParameterComparison(self._file, None, found)
 
     def download(self, wanted: Wanted) -> ParameterWriting:
         """Write what differs and read it back, all or nothing."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        return self._written(job.download_job(self._axis.file, self._set(wanted)))
+        return self._written(job.download_job(self._file, self._set(wanted)))
 
     def store(self, wanted: Wanted) -> ParameterWriting:
         """Have the drive keep a set that it holds. Raises StateError where it holds another."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        return self._written(job.store_job(self._axis.file, self._set(wanted)))
+        return self._written(job.store_job(self._file, self._set(wanted)))
 
     def restore(self) -> ParameterWriting:
         """Put back the values before the last download. Raises InputError where there is none."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        return self._written(job.restore_job(self._axis.file))
+        return self._written(job.restore_job(self._file))
 
     def _written(self, writing: Job) -> ParameterWriting:
-        return ParameterWriting(self._axis.file, None, self._axis.run(writing))
+        return ParameterWriting(self._file, None, self._run(writing))
 
     def _set(self, wanted: Wanted) -> ParameterSet:
         from hil.parameters.job import load_set  # noqa: PLC0415  (drivers load slowly)
@@ -73,7 +73,7 @@ class Parameters:
             return ParameterSet(
                 "script", None, tuple(SetEntry(_address(name), value) for name, value in wanted.items())
             )
-        return load_set(wanted, self._axis.file)
+        return load_set(wanted, self._file)
 
 
 def _address(name: str) -> str:

@@ -16,28 +16,13 @@ from xml.etree import ElementTree
 
 import pypdfium2
 import pytest
-from support.bench_axis import PASSWORDS, lay_out
+from support.bench_axis import CERTIFICATE, PASSWORDS, lay_out
 
 from hil.app.terminal.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.page_data import calibration_screen
 
-UNCERTAINTY = """
-accuracy_limit_um = 30.0
-
-[uncertainty]
-device_um = 0.2
-device_um_per_m = 1.5
-variation_um = 0.4
-
-[certificate]
-person = "A. Builder"
-machine = { model = "VMC 650", serial = "1234" }
-drive = { model = "S-drive 2", serial = "77-01" }
-instrument = { model = "uMD2", serial = "0042" }
-laboratory = { name = "Example Metrology", city = "Braunschweig", country = "DE" }
-customer = { name = "Example Works", city = "Jena", country = "DE" }
-"""
+UNCERTAINTY = "\naccuracy_limit_um = 30.0\n" + CERTIFICATE
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,22 @@ reading_s = 0.3
 """
 )
 
+CERTIFICATE = """
+[uncertainty]
+device_um = 0.2
+device_um_per_m = 1.5
+variation_um = 0.4
+
+[certificate]
+person = "A. Builder"
+machine = { model = "VMC 650", serial = "1234" }
+drive = { model = "S-drive 2", serial = "77-01" }
+instrument = { model = "uMD2", serial = "0042" }
+laboratory = { name = "Example Metrology", city = "Braunschweig", country = "DE" }
+customer = { name = "Example Works", city = "Jena", country = "DE" }
+"""
+"""Sections for an uncertainty and a certificate."""
+
 
 def lay_out(
     directory: Path, *, machine: str = "geometric", sections: int = 5, runs: int = 2, correction: str = ""

@@ -102,6 +102,10 @@ def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) 
     return search, search.run(first.parts)
 
 
+def _not_corrected(name: str) -> str:
+    return f"{name} is not corrected: runs left out are no better with it than without"
+
+
 @dataclass(frozen=True)
 class InForce:
     """What is corrected, its left-out residuals, and notes."""
@@ -150,7 +154,7 @@ class Case:
             fewer = tuple(part for part in parts if part.name != name)
             without = self._left_out(fewer)
             if not improves(without, whole, self.folds.of_all):
-                notes.append(f"{name} is not corrected: runs left out are no better with it than without")
+                notes.append(_not_corrected(name))
                 parts, whole = fewer, without
         fit = self.search.fit(parts)
         terms = self.verdict.terms if parts is self.found.parts else terms_of(fit)
@@ -165,8 +169,10 @@ class Case:
         if not live or of_set_up or self._gains(taken.after_um):
             return taken
         names = dict.fromkeys(term.effect.id for term in live.values())
-        notes = (f"{name} is not corrected: runs left out are no better with it than without" for name in names)
-        return InForce(self.null, self.null.left_out_um(self.rows, self.folds), (*taken.notes, *notes))
+        return self._nothing((*taken.notes, *map(_not_corrected, names)))
+
+    def _nothing(self, notes: tuple[str, ...] = ()) -> InForce:
+        return InForce(self.null, self.null.left_out_um(self.rows, self.folds), notes)
 
     def _gains(self, after_um: Floats) -> bool:
         return Figures.of(after_um).rms_um < Figures.of(self.before_um).rms_um
@@ -193,7 +199,7 @@ class Case:
 
     def _suspected(self) -> InForce:
         """Where nothing was found: the likeliest effect of the machine that helps runs left out, times its posterior."""
-        nothing = InForce(self.null, self.null.left_out_um(self.rows, self.folds))
+        nothing = self._nothing()
         none = self.search.scored(())[0].log_p
         for one in self.search.alternatives(()):
             if one.log_p <= none:

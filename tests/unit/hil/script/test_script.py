@@ -218,25 +218,9 @@ def test_what_is_left_is_found_and_put_into_force(path: Path, tmp_path: Path) ->
         assert "<html" in loop.report(tmp_path / "loop.html").read_text(encoding="utf-8")
 
 
-CERTIFICATE = """
-[uncertainty]
-device_um = 0.2
-device_um_per_m = 1.5
-variation_um = 0.4
-
-[certificate]
-person = "A. Builder"
-machine = { model = "VMC 650", serial = "1234" }
-drive = { model = "S-drive 2", serial = "77-01" }
-instrument = { model = "uMD2", serial = "0042" }
-laboratory = { name = "Example Metrology", city = "Braunschweig", country = "DE" }
-customer = { name = "Example Works", city = "Jena", country = "DE" }
-"""
-
-
 @pytest.mark.outside
 def test_a_verification_is_certified(path: Path, tmp_path: Path) -> None:
-    path.write_text(path.read_text() + CERTIFICATE)
+    path.write_text(path.read_text() + bench_axis.CERTIFICATE)
     with hil.open(path) as axis:
         axis.calibrate(**SHORT)  # type: ignore[arg-type]
         proof = axis.verify(**SHORT | {"runs": 5})  # type: ignore[arg-type]
