@@ -13,9 +13,11 @@ from fractions import Fraction
 from functools import cached_property
 from typing import Annotated
 
-from drivers.cia402_words import LARGEST_POSITION
 from drivers.errors import InputError, LimitError
 from drivers.toml_types import Limits, Positive, Ratio, Sign
+
+LARGEST_POSITION = 2**31 - 1
+"""Positions are 32 bits with a sign."""
 
 
 def beyond_reach(first_mm: float, last_mm: float) -> str:

@@ -1,6 +1,6 @@
 """CiA-402 as the simulated drive obeys it: power state machine, modes, set-point handshake, homing, supervision.
 
-Implements the objects 6007h to 60FFh over a `Servo`. State patterns and transitions come from the tables of `drivers.canopen.cia402`,
+Implements the objects 6007h to 60FFh over a `Servo`. State patterns and transitions come from the tables of `drivers.cia402`,
 which the master uses too (checked against literal vectors); everything else is written for the drive's side alone.
 """
 
@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.canopen.cia402 import (
+from drivers.cia402.state_machine import (
     QUICK_STOP_ENDINGS,
     Command,
     Event,

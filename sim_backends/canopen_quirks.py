@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, state_bits
+from drivers.cia402.state_machine import QUICK_STOP_ENDINGS, Command, state_bits
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from sim_backends.bench import HOMING_REV_S, HOMING_SLOW_REV_S, BenchParameters

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen.cia402 import QUICK_STOP_ENDINGS
+from drivers.cia402.state_machine import QUICK_STOP_ENDINGS
 from drivers.drive import DriveState
 from sim_backends.canopen_dictionary import INVALID_VALUE, WRONG_STATE, Dictionary, Item, Key, RefusedError
 from sim_backends.canopen_drive import CanOpenSlave, Send

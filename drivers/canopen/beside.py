@@ -20,15 +20,15 @@ from canopen.network import PeriodicMessageTask
 from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.eds import import_eds
 
-from drivers.canopen import objects
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.eds import EdsEntry, decode_eds
 from drivers.canopen.eds_text import parse
 from drivers.canopen.node import HEARTBEAT, NMT
 from drivers.canopen.not_parameters import why_not_written
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SDO_REQUEST, SDO_RESPONSE
 from drivers.canopen.sync import SYNC
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
 from drivers.clock import NS_PER_S
 from drivers.errors import AbortError, InputError, StateError, TransportError
 

@@ -12,9 +12,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.node import HEARTBEAT, NmtCommand, NmtState, Node
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import (
     COB_ID,
     EVENT,
@@ -27,9 +26,11 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, spec_of
-from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.sync import SYNC
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
+from drivers.cia402.wire import OBJECT_MISSING
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, ProtocolError
 from drivers.undo import one_line, undo_all
 
@@ -109,18 +110,18 @@ class Connection:
     def _has_sync(self) -> bool:
         """Whether the drive knows SYNC (1005h). Raises ProtocolError for another identifier than the usual one."""
         try:
-            identifier = self._sdo.read(objects.SYNC_COB_ID) & 0x7FF
+            identifier = self._sdo.read(cia301.SYNC_COB_ID) & 0x7FF
         except AbortError:
             self.notes.append(f"{self._sdo.name} has no SYNC (1005h): it is sampled by SDO")
             return False
         if identifier != SYNC:
-            raise ProtocolError(f"{self._sdo.name}: {objects.SYNC_COB_ID} is not {SYNC:03X}h")
+            raise ProtocolError(f"{self._sdo.name}: {cia301.SYNC_COB_ID} is not {SYNC:03X}h")
         return True
 
     def _produce_heartbeat(self, period_s: float) -> None:
         """Ask the drive for a heartbeat; where it has none, the answers to the samples are its sign of life."""
         try:
-            self._set_for_now(objects.PRODUCER_HEARTBEAT, round(1000 * period_s))
+            self._set_for_now(cia301.PRODUCER_HEARTBEAT, round(1000 * period_s))
         except AbortError as error:
             if self._guard_node(period_s):
                 self.notes.append(f"{self._sdo.name} produces no heartbeat: {self._how_guarded()}")
@@ -139,8 +140,8 @@ class Connection:
         already, guard_s = len(self._before), self._settings.guard_s
         factor = 0 if guard_s is None else min(255, max(2, math.ceil(guard_s / period_s)))
         try:
-            self._set_for_now(objects.GUARD_TIME, round(1000 * period_s))
-            self._set_for_now(objects.LIFE_FACTOR, factor)
+            self._set_for_now(cia301.GUARD_TIME, round(1000 * period_s))
+            self._set_for_now(cia301.LIFE_FACTOR, factor)
         except AbortError:
             undo_all(self._steps_back(already))
             return False
@@ -323,17 +324,17 @@ class Connection:
         if period_s is None or self._sdo.node_id == self._settings.master_id:
             return False
         try:
-            self._sdo.read(objects.CONSUMER_COUNT)
+            self._sdo.read(cia301.CONSUMER_COUNT)
         except AbortError:
             pass
         else:
             return False  # it could watch a heartbeat, and does not for another reason
         try:
-            self._sdo.write(objects.PRODUCER_HEARTBEAT, 0)  # a node that produces a heartbeat is not guarded
+            self._sdo.write(cia301.PRODUCER_HEARTBEAT, 0)  # a node that produces a heartbeat is not guarded
         except AbortError:
             return False  # without a heartbeat, guarding was tried before
         if not self._guard_node(period_s):
-            self._sdo.write(objects.PRODUCER_HEARTBEAT, round(1000 * period_s))
+            self._sdo.write(cia301.PRODUCER_HEARTBEAT, round(1000 * period_s))
             return False
         self.notes.append(f"{self._sdo.name} consumes no heartbeat (1016h): {self._how_guarded()}")
         return True
@@ -353,7 +354,7 @@ class Connection:
         """The entry of 1016h that consumes our heartbeat already, or an unused one. Raises CapabilityError, AbortError."""
         if self._sdo.node_id == master_id:
             raise CapabilityError(f"{master_id} is its own node id")
-        count = self._sdo.read(objects.CONSUMER_COUNT)
+        count = self._sdo.read(cia301.CONSUMER_COUNT)
         free: Entry | None = None
         for subindex in range(1, min(count, MOST_CONSUMERS) + 1):
             entry = Entry(0x1016, subindex, DataType.U32, "consumer heartbeat time")

@@ -11,19 +11,16 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
-from drivers.canopen import objects
-from drivers.canopen.cia402 import Command, Mode, Status, decode_state
 from drivers.canopen.connection import Connection
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
 from drivers.canopen.homing import Homing
-from drivers.canopen.identity import Identity, read_identity, stores_on_command
+from drivers.canopen.identity import Identity, object_of, read_identity, stores_on_command, unit_objects
 from drivers.canopen.kept_settings import KeptSettings
 from drivers.canopen.modes import OperationModes
 from drivers.canopen.motion import MotionParts, ProfileMotion
 from drivers.canopen.named_parameters import NamedParameters
-from drivers.canopen.node import NmtState, error_text
-from drivers.canopen.objects import Entry
+from drivers.canopen.node import NmtState
 from drivers.canopen.own_limits import OwnLimits
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
@@ -33,7 +30,12 @@ from drivers.canopen.settings import CanOpenSettings, HomingSettings
 from drivers.canopen.stopping import StoppableNode
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
-from drivers.canopen.units import motion_units, object_of, read_units, readings, unit_objects
+from drivers.cia402 import objects
+from drivers.cia402.error_codes import error_text
+from drivers.cia402.modes import Mode
+from drivers.cia402.objects import Entry
+from drivers.cia402.state_machine import Command, Status, decode_state
+from drivers.cia402.units import motion_units, read_units, readings
 from drivers.drive import (
     FAULTS,
     Capability,

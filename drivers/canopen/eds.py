@@ -24,8 +24,8 @@ from drivers.canopen.eds_text import (
     quoted,
     whole_number,
 )
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo_lint import MappableObject
+from drivers.cia402.objects import DataType, Entry
 from drivers.errors import InputError
 from drivers.files import read_text
 

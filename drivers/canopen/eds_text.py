@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from drivers.canopen.objects import DataType
+from drivers.cia402.objects import DataType
 from drivers.errors import InputError
 
 TYPES = {data_type.code: data_type for data_type in DataType}

@@ -17,15 +17,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen import objects
-from drivers.canopen.cia402 import Control, HomingStatus, Mode, decode_homing
 from drivers.canopen.kept_settings import KeptSettings
 from drivers.canopen.motion import RUN, ProfileMotion
-from drivers.canopen.objects import Entry
-from drivers.canopen.own_limits import LEFT_OUT
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import HomingSettings
+from drivers.cia402 import objects
+from drivers.cia402.modes import HomingStatus, Mode, decode_homing
+from drivers.cia402.objects import Entry
+from drivers.cia402.state_machine import Control
+from drivers.cia402.wire import LEFT_OUT
 from drivers.clock import NS_PER_S
 from drivers.drive import TAKES_THE_PLACE
 from drivers.errors import AbortError, CapabilityError, DriveFaultError

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
-from drivers.canopen import objects
-from drivers.canopen.objects import Entry
+from drivers.canopen import cia301
 from drivers.canopen.parameters import ON_COMMAND
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
+from drivers.cia402.objects import Entry
 from drivers.errors import AbortError, ProtocolError
 
 PROFILE = 402
@@ -30,7 +32,7 @@ class Identity:
 
 def read_identity(sdo: SdoClient) -> Identity:
     """Identity of a servo drive. Raises ProtocolError for a node of another device profile (1000h), and as `SdoClient.read`."""
-    profile = sdo.read_if_shown(objects.DEVICE_TYPE, 0) & 0xFFFF
+    profile = sdo.read_if_shown(cia301.DEVICE_TYPE, 0) & 0xFFFF
     if profile not in (PROFILE, NO_PROFILE):
         raise ProtocolError(f"{sdo.name}: node {sdo.node_id} has device profile {profile}, not {PROFILE}")
     try:
@@ -38,13 +40,13 @@ def read_identity(sdo: SdoClient) -> Identity:
     except AbortError as error:
         raise ProtocolError(f"{sdo.name}: node {sdo.node_id} is no drive of profile {PROFILE}: {error}") from error
     return Identity(
-        sdo.read_if_shown(objects.VENDOR_ID, 0),
-        sdo.read_if_shown(objects.PRODUCT_CODE, 0),
-        sdo.read_if_shown(objects.REVISION, 0),
-        sdo.read_if_shown(objects.SERIAL_NUMBER, 0),
-        _text(sdo, objects.DEVICE_NAME),
-        _text(sdo, objects.HARDWARE_VERSION),
-        _text(sdo, objects.SOFTWARE_VERSION),
+        sdo.read_if_shown(cia301.VENDOR_ID, 0),
+        sdo.read_if_shown(cia301.PRODUCT_CODE, 0),
+        sdo.read_if_shown(cia301.REVISION, 0),
+        sdo.read_if_shown(cia301.SERIAL_NUMBER, 0),
+        _text(sdo, cia301.DEVICE_NAME),
+        _text(sdo, cia301.HARDWARE_VERSION),
+        _text(sdo, cia301.SOFTWARE_VERSION),
     )
 
 
@@ -57,4 +59,30 @@ def _text(sdo: SdoClient, entry: Entry) -> str:
 
 def stores_on_command(sdo: SdoClient) -> bool:
     """Whether 1010h:1 says that it stores on command; False for a drive that does not let it be read."""
-    return bool(sdo.read_if_shown(objects.STORE_ALL, 0) & ON_COMMAND)
+    return bool(sdo.read_if_shown(cia301.STORE_ALL, 0) & ON_COMMAND)
+
+
+UNIT_OBJECTS = (
+    *((index, subindex) for index in (0x608F, 0x6091, 0x6092, 0x6093) for subindex in (1, 2)),
+    (0x607E, 0),
+    (0x60A8, 0),
+)
+"""Encoder resolution, gear ratio, feed constant, position factor (of drives by the older DSP 402), polarity, unit of position."""
+
+
+def unit_objects(sdo: SdoClient) -> dict[str, int]:
+    """The unit objects that the drive has, such as "6091h:01", as whole numbers. Raises as `SdoClient.read_bytes`."""
+    found = {}
+    for index, subindex in UNIT_OBJECTS:
+        try:
+            data = sdo.read_bytes(index, subindex)
+        except AbortError:
+            continue
+        found[f"{index:04X}h:{subindex:02X}"] = int.from_bytes(data, "little")
+    return found
+
+
+def object_of(name: str) -> tuple[int, int] | None:
+    """(index, subindex) of "2201h" or "2201h:01"; None for what is no object."""
+    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9A-Fa-f]{2}))?", name)
+    return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))

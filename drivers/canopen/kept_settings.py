@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from drivers.canopen import objects
-from drivers.canopen.objects import Entry
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
+from drivers.cia402.objects import Entry
 from drivers.errors import AbortError
 from drivers.undo import undo_all
 

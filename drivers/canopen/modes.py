@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.canopen import objects
-from drivers.canopen.cia402 import Mode, decode_state
 from drivers.canopen.kept_settings import KeptSettings
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
+from drivers.cia402.state_machine import decode_state
 from drivers.clock import Clock
 from drivers.drive import FAULTS, WITHOUT_POWER
 from drivers.errors import AbortError, CapabilityError, ProtocolError

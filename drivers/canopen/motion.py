@@ -8,21 +8,21 @@ from __future__ import annotations
 from contextlib import suppress
 from dataclasses import dataclass
 
-from drivers import cia402_words
-from drivers.canopen import objects
-from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
 from drivers.canopen.kept_settings import KeptSettings
 from drivers.canopen.modes import POLL_S, OperationModes
-from drivers.canopen.node import error_text
 from drivers.canopen.own_limits import OwnLimits
 from drivers.canopen.power import PowerStage
 from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.streamed_move import FEED_S, StreamedMove
+from drivers.cia402 import objects, words
+from drivers.cia402.error_codes import error_text
+from drivers.cia402.modes import Mode
+from drivers.cia402.state_machine import Command, Control, Status, decode_state
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import FAULTS, DriveState
 from drivers.errors import AbortError, DriveFaultError, FollowingErrorError, LimitError, ProtocolError
-from drivers.scaling import MotionScaling
+from drivers.scaling import LARGEST_POSITION, MotionScaling
 from drivers.standstill import Standstill, arrived_within_counts
 
 RUN = Command.ENABLE_OPERATION.word
@@ -81,7 +81,7 @@ class ProfileMotion:
         self._clock = clock
         self._handshake_s = handshake_s
         self._strays = strays
-        window_counts = cia402_words.window(self._sdo.read_if_shown(objects.POSITION_WINDOW, 0)) or 0
+        window_counts = words.window(self._sdo.read_if_shown(objects.POSITION_WINDOW, 0)) or 0
         self._near_counts = arrived_within_counts(self._units.scaling.counts_per_load_mm, window_counts)
         self._move: _GivenMove | StreamedMove | None = None
 
@@ -185,9 +185,9 @@ class ProfileMotion:
         if not isinstance(move, _GivenMove) or move.judged or not status & Status.INTERNAL_LIMIT:
             return
         move.judged, read = True, self._sdo.read_if_shown
-        most = cia402_words.LARGEST_POSITION
+        most = LARGEST_POSITION
         low, high = read(objects.SOFTWARE_LIMIT_MIN, -most - 1), read(objects.SOFTWARE_LIMIT_MAX, most)
-        if cia402_words.software_limits(low, high) is not None:
+        if words.software_limits(low, high) is not None:
             home = read(objects.HOME_OFFSET, 0)  # the standard shifts the limits by it, not every drive does
             if not max(low, low - home) <= move.target <= min(high, high - home):
                 self.halt()

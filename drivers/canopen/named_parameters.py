@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.eds import EdsEntry, EdsFile
 from drivers.canopen.node import Node
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import CanOpenParameters
-from drivers.canopen.sdo_transfer import OBJECT_MISSING
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
+from drivers.cia402.wire import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 from drivers.scaling import MotionScaling
@@ -21,10 +22,10 @@ VELOCITY, ACCELERATION = "velocity", "acceleration"
 """In place of a unit: the drive's own one, see `unit_text`."""
 _STANDARD: tuple[tuple[Entry, str, bool], ...] = (
     # object, unit, whether it may be written
-    (objects.DEVICE_NAME, "", False),
-    (objects.HARDWARE_VERSION, "", False),
-    (objects.SOFTWARE_VERSION, "", False),
-    (objects.SERIAL_NUMBER, "", False),
+    (cia301.DEVICE_NAME, "", False),
+    (cia301.HARDWARE_VERSION, "", False),
+    (cia301.SOFTWARE_VERSION, "", False),
+    (cia301.SERIAL_NUMBER, "", False),
     (objects.QUICK_STOP_OPTION, "", True),
     (objects.SHUTDOWN_OPTION, "", True),
     (objects.DISABLE_OPTION, "", True),

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from enum import Enum
 
 from drivers.canopen.eds import EdsEntry
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.table_map import TableMap
+from drivers.cia402.objects import DataType, Entry
 
 
 class Kind(Enum):

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers import cia402_words
-from drivers.canopen import objects
 from drivers.canopen.kept_settings import KeptSettings
-from drivers.canopen.objects import Entry
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.sdo_transfer import OBJECT_MISSING
+from drivers.cia402 import objects, words
+from drivers.cia402.objects import Entry
+from drivers.cia402.wire import LEFT_OUT, OUT_OF_RANGE
 from drivers.errors import AbortError, LimitError
 from drivers.scaling import MotionScaling
 
 SAME_SHARE = 1e-3
 """Share by which a drive's own limit may lie below the axis file's without a note: rounding to its units."""
-OUT_OF_RANGE = (0x06090030, 0x06090031)
-LEFT_OUT = (0x06010002, *OBJECT_MISSING)
-"""Read-only, no such object, no such subindex."""
 RAMPS = {
     objects.PROFILE_ACCELERATION: objects.MAX_ACCELERATION,
     objects.PROFILE_DECELERATION: objects.MAX_DECELERATION,
@@ -49,7 +45,7 @@ class OwnLimits:
     def _limit(self, entry: Entry) -> int:
         """A limit that the drive states, in its units; 0 where it states none."""
         if entry not in self._stated:
-            self._stated[entry] = cia402_words.limit(self._sdo.read_if_shown(entry, 0)) or 0
+            self._stated[entry] = words.limit(self._sdo.read_if_shown(entry, 0)) or 0
         return self._stated[entry]
 
     def note(self, velocity_mm_s: float, acceleration_mm_s2: float) -> None:

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from drivers.canopen.eds import EdsEntry, EdsFile
 from drivers.canopen.node import Node
 from drivers.canopen.not_parameters import why_not_written
-from drivers.canopen.objects import DataType
+from drivers.canopen.sdo import most_bytes
+from drivers.cia402.objects import DataType
 from drivers.errors import CapabilityError, InputError, ProtocolError
 
 Value = int | float | str | bytes | bool
@@ -65,7 +66,7 @@ class CanOpenParameters:
         """The present value. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
         entry, clock = found.entry, self._node.clock
         start_ns = clock.now_ns()
-        value = entry.unpack(self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes))
+        value = entry.unpack(self._node.sdo.read_bytes(entry.index, entry.subindex, most=most_bytes(entry)))
         self._found.setdefault(entry.key, value)
         return TimedValue(value, (clock.now_ns() - start_ns) * 1e-9)
 
@@ -89,7 +90,7 @@ class CanOpenParameters:
         entry = found.entry
         data = entry.pack(value)
         self._node.sdo.write_bytes(entry.index, entry.subindex, data, same=entry.same)
-        kept = self._node.sdo.read_bytes(entry.index, entry.subindex, most=entry.most_bytes)
+        kept = self._node.sdo.read_bytes(entry.index, entry.subindex, most=most_bytes(entry))
         if not entry.same(kept, data):
             raise ProtocolError(
                 f"drive {self._node.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"

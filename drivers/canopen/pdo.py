@@ -9,7 +9,7 @@ import struct
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from drivers.canopen.objects import DataType, Entry
+from drivers.cia402.objects import DataType, Entry
 from drivers.errors import InputError
 
 EXISTS_NOT = 0x80000000

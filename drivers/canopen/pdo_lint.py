@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.canopen import objects
-from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.wire_time import frame_bits
+from drivers.cia402 import objects
+from drivers.cia402.objects import Entry
 from drivers.errors import InputError
 
 RESERVED = (

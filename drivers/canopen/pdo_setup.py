@@ -10,8 +10,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
-from drivers.canopen import objects
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import (
     COB_ID,
     EXISTS_NOT,
@@ -26,6 +24,8 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, BridgeError, InputError, NoAnswerError, ProtocolError
 from drivers.undo import undo_all
 

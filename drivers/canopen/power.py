@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.canopen.cia402 import DISABLE_STEPS, ENABLE_STEPS, Command, Control, Status, decode_state
-from drivers.canopen.node import error_text
-from drivers.canopen.objects import CONTROLWORD, ERROR_CODE, STATUSWORD
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402.error_codes import error_text
+from drivers.cia402.objects import CONTROLWORD, ERROR_CODE, STATUSWORD
+from drivers.cia402.state_machine import DISABLE_STEPS, ENABLE_STEPS, Command, Control, Status, decode_state
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import FAULTS, DriveState
 from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError, StateError

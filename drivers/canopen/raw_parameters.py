@@ -8,22 +8,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from drivers.canopen import objects
-from drivers.canopen.cia402 import decode_state
+from drivers.canopen import cia301
 from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.eds_text import summary
 from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of, unit_text
 from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.parameters import ON_COMMAND, SAVE
 from drivers.canopen.pdo import Pdo
+from drivers.canopen.sdo import most_bytes
 from drivers.canopen.sdo_cost import transfer
-from drivers.canopen.sdo_transfer import OBJECT_MISSING
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import TableMap
-from drivers.canopen.units import MOTION_OBJECTS, motion_units
 from drivers.canopen.whole_pdo import Block, WholePdo, described, pdo_at
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
+from drivers.cia402.state_machine import decode_state
+from drivers.cia402.units import MOTION_OBJECTS, motion_units
+from drivers.cia402.wire import OBJECT_MISSING
 from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
@@ -221,7 +223,7 @@ class CanOpenRawParameters(RawParameters):
 
     # -- transfers -------------------------------------------------------------------------------------------------------
     def _upload(self, entry: Entry) -> Steps[bytes]:
-        return self._node.sdo.reading(entry.index, entry.subindex, entry.most_bytes)
+        return self._node.sdo.reading(entry.index, entry.subindex, most_bytes(entry))
 
     def _download(
         self, entry: Entry, data: bytes, *, timeout_s: float | None = None, reads_back: bool = True
@@ -274,13 +276,13 @@ class CanOpenRawParameters(RawParameters):
         """1018h, 1008h to 100Ah; objects that the node does not have are left out. The units of `unit_of` are read too."""
         facts: dict[str, int | str] = {}
         for name, entry in (
-            ("vendor_id", objects.VENDOR_ID),
-            ("product_code", objects.PRODUCT_CODE),
-            ("revision", objects.REVISION),
-            ("serial", objects.SERIAL_NUMBER),
-            ("device", objects.DEVICE_NAME),
-            ("hardware", objects.HARDWARE_VERSION),
-            ("firmware", objects.SOFTWARE_VERSION),
+            ("vendor_id", cia301.VENDOR_ID),
+            ("product_code", cia301.PRODUCT_CODE),
+            ("revision", cia301.REVISION),
+            ("serial", cia301.SERIAL_NUMBER),
+            ("device", cia301.DEVICE_NAME),
+            ("hardware", cia301.HARDWARE_VERSION),
+            ("firmware", cia301.SOFTWARE_VERSION),
         ):
             value = yield from self._optional(entry)
             if value is not None:
@@ -333,10 +335,10 @@ class CanOpenRawParameters(RawParameters):
 
     # -- storing and restoring ---------------------------------------------------------------------------------------------
     def objection_to_store(self) -> Steps[str | None]:
-        abilities = yield from self._optional(objects.STORE_ALL)
+        abilities = yield from self._optional(cia301.STORE_ALL)
         if isinstance(abilities, int) and abilities & ON_COMMAND:
             return None
-        return f"it does not keep its parameters on command ({objects.STORE_ALL})"
+        return f"it does not keep its parameters on command ({cia301.STORE_ALL})"
 
     def store(self) -> Steps[None]:
         """1010h:1 := "save"; before that targets are made harmless, as a drive may store them too."""
@@ -349,7 +351,7 @@ class CanOpenRawParameters(RawParameters):
         for entry, value in targets:
             if isinstance(value, int):
                 yield from self._make_harmless(entry, value)
-        yield from self._download(objects.STORE_ALL, SAVE, timeout_s=STORE_S, reads_back=False)
+        yield from self._download(cia301.STORE_ALL, SAVE, timeout_s=STORE_S, reads_back=False)
 
     def _make_harmless(self, entry: Entry, value: int) -> Steps[None]:
         try:
@@ -360,10 +362,10 @@ class CanOpenRawParameters(RawParameters):
 
     def load_defaults(self) -> Steps[None]:
         """1011h:1 := "load". Raises CapabilityError where it is not done on command."""
-        abilities = yield from self._optional(objects.RESTORE_ALL)
+        abilities = yield from self._optional(cia301.RESTORE_ALL)
         if not isinstance(abilities, int) or not abilities & ON_COMMAND:
-            raise CapabilityError(f"drive {self.name}: {objects.RESTORE_ALL} is not done on command")
-        yield from self._download(objects.RESTORE_ALL, b"load", timeout_s=STORE_S, reads_back=False)
+            raise CapabilityError(f"drive {self.name}: {cia301.RESTORE_ALL} is not done on command")
+        yield from self._download(cia301.RESTORE_ALL, b"load", timeout_s=STORE_S, reads_back=False)
 
     def restart(self) -> Steps[None]:
         """NMT reset node; returns when its boot-up was received. Raises NoAnswerError."""

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from drivers.canopen import objects
 from drivers.canopen.bus import FrameHandler
 from drivers.canopen.node import Node
-from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import COB_ID, EXISTS_NOT, SYNC_EVERY, PdoSpec, wanted_image
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sync import SYNC
+from drivers.cia402 import objects
+from drivers.cia402.objects import Entry
 from drivers.errors import AbortError, BridgeError, NoAnswerError, ProtocolError, TransportError
 
 ANSWER_WITHIN_S = 0.5

@@ -10,12 +10,13 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import decode_state
 from drivers.canopen.node import HEARTBEAT, NmtState
-from drivers.canopen.sdo import SdoClient, read_together
+from drivers.canopen.sdo import SdoClient, most_bytes, read_together
 from drivers.canopen.side_by_side import CanLine
+from drivers.cia402 import objects
+from drivers.cia402.state_machine import decode_state
 from drivers.drive import DriveState
 from drivers.errors import AbortError, BridgeError, NoAnswerError, OtherAnswerError, ProtocolError
 from drivers.raw_parameters import Steps
@@ -30,11 +31,11 @@ _QUIET_S = 0.0
 skipped."""
 _NAME_BYTES = 256  # longest device name that is read
 _IDENTITY = {
-    "vendor_id": objects.VENDOR_ID,
-    "product_code": objects.PRODUCT_CODE,
-    "revision": objects.REVISION,
-    "serial": objects.SERIAL_NUMBER,
-    "device_name": objects.DEVICE_NAME,
+    "vendor_id": cia301.VENDOR_ID,
+    "product_code": cia301.PRODUCT_CODE,
+    "revision": cia301.REVISION,
+    "serial": cia301.SERIAL_NUMBER,
+    "device_name": cia301.DEVICE_NAME,
 }
 _DRIVE = {
     "statusword": objects.STATUSWORD,
@@ -156,7 +157,7 @@ def _ask(link: CanLink, node_ids: Sequence[int], timeout_s: float) -> dict[int, 
         SdoClient(link, node_id, f"node {node_id}", timeout_s=timeout_s, quiet_s=_QUIET_S) for node_id in node_ids
     ]
     try:
-        answers = read_together([(client, objects.DEVICE_TYPE) for client in clients], timeout_s)
+        answers = read_together([(client, cia301.DEVICE_TYPE) for client in clients], timeout_s)
         there = [
             (client, answer if isinstance(answer, int) else None)
             for client, answer in zip(clients, answers, strict=True)
@@ -187,7 +188,7 @@ def _details(client: SdoClient, device_type: int | None) -> Steps[FoundNode]:
     told: dict[str, Any] = {}
     for name, entry in wanted.items():
         try:
-            most = min(entry.most_bytes, _NAME_BYTES)
+            most = min(most_bytes(entry), _NAME_BYTES)
             told[name] = entry.unpack((yield from client.reading(entry.index, entry.subindex, most)))
         except (AbortError, ProtocolError):
             continue

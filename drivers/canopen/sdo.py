@@ -18,12 +18,10 @@ from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
 from drivers.canopen.bus import STOP_SEND_S, CanLink
-from drivers.canopen.objects import Entry
 from drivers.canopen.sdo_transfer import (
     ABORT_GENERAL,
     ABORT_TIMEOUT,
     LARGEST_ANNOUNCED,
-    OBJECT_MISSING,
     Conversation,
     Transfer,
     abort_frame,
@@ -33,6 +31,8 @@ from drivers.canopen.sdo_transfer import (
     longest_s,
     upload,
 )
+from drivers.cia402.objects import Entry
+from drivers.cia402.wire import OBJECT_MISSING, Absent
 from drivers.clock import NS_PER_S
 from drivers.errors import (
     AbortError,
@@ -48,8 +48,9 @@ from drivers.errors import (
 from drivers.raw_parameters import Pause, Steps
 from drivers.way_out import WayOut
 
-Absent = TypeVar("Absent", int, None)
 T = TypeVar("T")
+LONGEST_TEXT = 4096
+"""Longest VISIBLE_STRING that is read, bytes; the standard's texts have a few dozen."""
 Same = Callable[[bytes, bytes], bool]
 """same(shown, meant): whether bytes that were read back equal the value that was written."""
 FIRST_AXIS = range(0x6000, 0x6800)
@@ -58,6 +59,11 @@ WRONG_LENGTH = (0x06070010, 0x06070012, 0x06070013)
 SDO_REQUEST = 0x600
 SDO_RESPONSE = 0x580
 QUIET_TIMES = 10  # number of quiet times after which a channel that does not fall silent is given up
+
+
+def most_bytes(entry: Entry) -> int:
+    """Longest answer accepted, bytes: for a number eight, the longest type's, as some devices answer with more than the object has."""
+    return 8 if entry.type.is_number else LONGEST_TEXT if entry.type.is_text else LARGEST_ANNOUNCED
 
 
 @dataclass
@@ -246,7 +252,7 @@ class SdoClient:
 
     def read(self, entry: Entry) -> int:
         """Read an integer object. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
-        value = entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=entry.most_bytes))
+        value = entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=most_bytes(entry)))
         if not isinstance(value, int):
             raise ProtocolError(f"{self.name}: {entry} is no integer: {value!r}")
         return value
@@ -270,7 +276,7 @@ class SdoClient:
 
     def read_text(self, entry: Entry) -> str:
         """Read a string object. Raises as `read`."""
-        return str(entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=entry.most_bytes)))
+        return str(entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=most_bytes(entry))))
 
     def write(self, entry: Entry, value: float) -> None:
         """Write a numeric object; returns once the device has accepted it. Raises InputError, and as `write_bytes`."""
@@ -285,7 +291,7 @@ class SdoClient:
 
     def _as_wide_as_shown(self, index: int, entry: Entry, value: float) -> bytes | None:
         """The value with as many bytes as the device answers for the object; None where that is not another width."""
-        shown = len(self.read_bytes(index, entry.subindex, most=entry.most_bytes))
+        shown = len(self.read_bytes(index, entry.subindex, most=most_bytes(entry)))
         if shown == entry.type.size or not 1 <= shown <= 8 or not isinstance(value, int):
             return None
         try:
@@ -554,7 +560,7 @@ def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float 
     transfers: list[Running[bytes]] = []
     for client, entry in requests:
         talk = Conversation(entry.index, entry.subindex)
-        transfers.append(Running(client, talk, upload(talk, entry.most_bytes), timeout_s))
+        transfers.append(Running(client, talk, upload(talk, most_bytes(entry)), timeout_s))
     _run_together(transfers)
     results: list[int | BridgeError] = []
     for running, (client, entry) in zip(transfers, requests, strict=True):

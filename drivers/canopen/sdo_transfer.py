@@ -73,8 +73,6 @@ ABORT_CRC = 0x05040004
 ABORT_MEMORY = 0x05040005
 ABORT_LENGTH = 0x06070010
 ABORT_GENERAL = 0x08000000
-OBJECT_MISSING = (0x06020000, 0x06090011)
-"""Codes for an object, or a sub-index, that does not exist."""
 
 ABORT = 0x80
 NO_OBJECT = b"\0\0\0"

@@ -12,9 +12,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 
-from drivers.canopen import objects
 from drivers.canopen.bus import STOP_SEND_S, CanLink
-from drivers.canopen.cia402 import QUICK_STOP_ENDINGS, Command, Control, Mode, Status, decode_state
 from drivers.canopen.connection import Connection
 from drivers.canopen.eds import EdsFile
 from drivers.canopen.homing import Homing
@@ -30,6 +28,9 @@ from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.stream_axis import Axis
 from drivers.canopen.sync import SYNC
 from drivers.canopen.table_map import TableMap
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
+from drivers.cia402.state_machine import QUICK_STOP_ENDINGS, Command, Control, Status, decode_state
 from drivers.clock import Clock
 from drivers.drive import FAULTS, DriveLimits, DriveSample, DriveState
 from drivers.errors import BridgeError, StateError

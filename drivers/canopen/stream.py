@@ -16,8 +16,7 @@ from typing import Self
 
 import can
 
-from drivers.canopen import objects
-from drivers.canopen.cia402 import Command, Mode, decode_state
+from drivers.canopen import cia301
 from drivers.canopen.pdo import SYNC_EVERY
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.sdo import write_together
@@ -31,6 +30,9 @@ from drivers.canopen.stream_axis import (
     StreamSettings,
 )
 from drivers.canopen.sync import SYNC, SyncFollower
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
+from drivers.cia402.state_machine import Command, decode_state
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from drivers.errors import (
@@ -169,8 +171,8 @@ class CyclicStream:
         for axis in self._axes:
             with suppress(AbortError):  # 1006h is optional; by it a drive notices itself that SYNC has stopped
                 sdo = axis.node.sdo
-                axis.sync_period_before = sdo.read(objects.SYNC_PERIOD)
-                sdo.write(objects.SYNC_PERIOD, round(self.settings.period_s * 1e6))
+                axis.sync_period_before = sdo.read(cia301.SYNC_PERIOD)
+                sdo.write(cia301.SYNC_PERIOD, round(self.settings.period_s * 1e6))
         self._running = True
         self._next_sync_ns = self.clock.now_ns() + self._period_ns
         self.link.subscribe(SYNC, self._on_sync)
@@ -358,7 +360,7 @@ def _unwatch_sync(axes: Sequence[Axis]) -> None:
     watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
     for axis, _ in watching:
         axis.sync_period_before = None
-    errors = write_together([(axis.node.sdo, objects.SYNC_PERIOD, before) for axis, before in watching])
+    errors = write_together([(axis.node.sdo, cia301.SYNC_PERIOD, before) for axis, before in watching])
     undo_all(
         [
             (f"drive {axis.node.name}: 1006h not put back", partial(_fail, error))

@@ -11,13 +11,14 @@ from typing import NamedTuple
 
 import can
 
-from drivers.canopen import objects
-from drivers.canopen.cia402 import Command, Control, Mode, Status, decode_state
 from drivers.canopen.node import Node
-from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup
 from drivers.canopen.power import PowerStage
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
+from drivers.cia402.objects import Entry
+from drivers.cia402.state_machine import Command, Control, Status, decode_state
 from drivers.drive import FAULTS, DriveLimits, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
 from drivers.scaling import AxisScaling

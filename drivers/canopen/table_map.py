@@ -19,7 +19,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
-from drivers.canopen.objects import DataType, Entry
+from drivers.cia402.objects import DataType, Entry
 from drivers.correction_table import COLUMNS, UNITS, Quantity, TableDescription, TableHead
 from drivers.errors import InputError
 from drivers.toml_schema import Document, either

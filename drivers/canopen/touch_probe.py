@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.canopen import objects
 from drivers.canopen.node import Node
+from drivers.cia402 import objects
 from drivers.scaling import AxisScaling
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
 

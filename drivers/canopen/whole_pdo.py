@@ -13,7 +13,6 @@ from functools import cached_property
 
 from drivers.canopen.dcf import pack_concise, unpack_concise
 from drivers.canopen.eds import Key
-from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import (
     COB_ID,
     EVENT_TIMER,
@@ -27,7 +26,8 @@ from drivers.canopen.pdo import (
     pdo_entry,
     pdo_of,
 )
-from drivers.canopen.sdo_transfer import OBJECT_MISSING
+from drivers.cia402.objects import Entry
+from drivers.cia402.wire import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, ProtocolError
 from drivers.raw_parameters import Steps
 

@@ -13,10 +13,11 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
 from drivers.clock import Waiting, WallClock
 from drivers.drive import ServoDrive
 from drivers.errors import AbortError, CapabilityError, InputError
@@ -201,10 +202,10 @@ class _ModuleWires:
 
     def __init__(self, sdo: SdoClient, blocks: int, mfin_bit: int) -> None:
         self._sdo, self._blocks = sdo, blocks
-        self._output, self._bit = objects.module_outputs(mfin_bit // 8), 1 << mfin_bit % 8
+        self._output, self._bit = cia301.module_outputs(mfin_bit // 8), 1 << mfin_bit % 8
 
     def inputs(self) -> int:
-        return sum(self._sdo.read(objects.module_inputs(block)) << 8 * block for block in range(self._blocks))
+        return sum(self._sdo.read(cia301.module_inputs(block)) << 8 * block for block in range(self._blocks))
 
     def set_mfin(self, on: bool) -> None:
         levels = self._sdo.read(self._output) & ~self._bit

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from hostile.can_peer import EMCY, HEARTBEAT, RPDO1, RPDOS, SDO_ANSWER, SDO_REQUEST, SYNC, TPDOS, CanPeer
 from hostile.peer import Kinds
 
-from drivers.canopen.cia402 import Mode
+from drivers.cia402.modes import Mode
 from drivers.errors import (
     AbortError,
     CapabilityError,

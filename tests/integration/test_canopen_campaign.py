@@ -16,11 +16,11 @@ from dataclasses import dataclass, replace
 
 import pytest
 
-from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.power import PowerTimes
 from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.cia402 import objects
 from drivers.drive import DriveLimits, DriveSample, DriveState
 from drivers.errors import (
     AbortError,

@@ -14,16 +14,17 @@ import pytest
 from support import their_canopen
 from support.parameter_faults import KilledError
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import load_eds
 from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, same, wanted_image
 from drivers.canopen.pdo_setup import configure, read_image
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.side_by_side import CanLine
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError
@@ -164,8 +165,8 @@ Ours = tuple[CanLink, canopen.LocalNode]
 def test_we_read_and_write(ours: Ours) -> None:
     link, node = ours
     sdo = SdoClient(link, NODE, "theirs")
-    assert sdo.read(objects.DEVICE_TYPE) == 0x20192
-    assert sdo.read_text(objects.DEVICE_NAME) == "Simulated feed axis servo drive"
+    assert sdo.read(cia301.DEVICE_TYPE) == 0x20192
+    assert sdo.read_text(cia301.DEVICE_NAME) == "Simulated feed axis servo drive"
     sdo.write(GAIN, 99)
     assert node.sdo[0x2210][1].raw == 99
     with pytest.raises(AbortError, match="object does not exist"):

@@ -16,14 +16,14 @@ import canopen
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
-from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.node import NmtCommand, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import configure
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import AbortError, DriveFaultError, NoAnswerError, ProtocolError

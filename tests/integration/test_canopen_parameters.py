@@ -11,9 +11,9 @@ import pytest
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.eds import EdsFile, load_eds
-from drivers.canopen.objects import DataType
 from drivers.canopen.parameters import CanOpenParameters
 from drivers.canopen.sdo_cost import transfer
+from drivers.cia402.objects import DataType
 from drivers.drive import DriveLimits
 from drivers.errors import (
     AbortError,

@@ -10,14 +10,15 @@ from typing import Any
 import can
 import pytest
 
-from drivers.canopen import objects, pdo_setup
+from drivers.canopen import cia301, pdo_setup
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.objects import Entry
 from drivers.canopen.sdo import Running
 from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
+from drivers.cia402.objects import Entry
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import InputError, NoAnswerError, SafetyError, StateError, UndoError
 from drivers.scaling import AxisScaling
@@ -296,7 +297,7 @@ def test_leaving_a_stream_is_done_to_the_end_whatever_fails(
     stream = CyclicStream([x, y], StreamSettings(0.01))
     stream.__enter__()
     for drive in pair:
-        _failing(drive, objects.SYNC_PERIOD, monkeypatch)
+        _failing(drive, cia301.SYNC_PERIOD, monkeypatch)
     with pytest.raises(UndoError, match=r"drive X: 1006h not put back: .*; drive Y: 1006h not put back: ") as caught:
         stream.__exit__(None, None, None)
     assert len(caught.value.errors) == 2
@@ -375,7 +376,7 @@ def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
     stream = CyclicStream([x, y], StreamSettings(0.01))
     stream.__enter__()
     stream.cycle([0.0, 0.0])
-    _raising(x, objects.SYNC_PERIOD.index, KeyboardInterrupt(), monkeypatch)
+    _raising(x, cia301.SYNC_PERIOD.index, KeyboardInterrupt(), monkeypatch)
     told = _stops_before(pair, "end_streaming", monkeypatch)
     with pytest.raises(KeyboardInterrupt):
         stream.__exit__(None, None, None)
@@ -440,7 +441,7 @@ def test_what_fails_while_an_error_leads_out_of_a_stream_is_told_with_it(
         with CyclicStream([x, y], StreamSettings(0.01)) as stream:
             for cycle in range(20):
                 stream.cycle([0.5 * cycle, 0.5 * cycle])
-            _failing(y, objects.SYNC_PERIOD, monkeypatch)
+            _failing(y, cia301.SYNC_PERIOD, monkeypatch)
             x.send_stop()
             stream.cycle([10.0, 10.0])
 

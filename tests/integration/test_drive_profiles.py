@@ -27,8 +27,8 @@ from study.profiles_matrix import (
     trial_of,
 )
 
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.settings import HomingSettings
+from drivers.cia402.modes import Mode
 from drivers.drive import Capability, DriveLimits, DriveState, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, InputError, ProtocolError
 from hil.app.terminal.main import main

@@ -15,9 +15,9 @@ from support import their_canopen
 from drivers.canopen.bus import CanLink
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.node import Node
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo_cost import table_s
 from drivers.canopen.table_map import load_table_map
+from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft, CanBench

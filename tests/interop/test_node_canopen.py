@@ -18,10 +18,10 @@ from support.node_peer import NodePeer, PeerError
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, same, wanted_image
 from drivers.canopen.pdo_setup import configure, read_image
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError, LinkLostError

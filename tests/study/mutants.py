@@ -99,7 +99,9 @@ ROOMS = {
         ),
     ),
     "scaling": Room(("drivers/scaling.py",), ("tests/unit/drivers/test_scaling.py",)),
-    "cia402": Room(("drivers/canopen/cia402.py",), ("tests/wire/test_cia402_vectors.py",)),
+    "cia402": Room(
+        ("drivers/cia402/state_machine.py", "drivers/cia402/modes.py"), ("tests/wire/test_cia402_vectors.py",)
+    ),
     "parameters": Room(
         ("hil/parameters/[!p]*.py", "hil/parameters/pre*.py"),  # all but the page, which a browser's tests judge
         (

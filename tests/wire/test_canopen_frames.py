@@ -9,10 +9,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.node import NmtCommand, NodeMonitor
 from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.cia402.modes import Mode
 from drivers.drive import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench

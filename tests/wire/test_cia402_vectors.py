@@ -5,8 +5,9 @@ Master and simulated drive share these tables, so nothing here may be computed f
 
 import pytest
 
-from drivers.canopen import cia402
-from drivers.canopen.cia402 import Command, Event, HomingStatus, Mode, decode_command, decode_homing, decode_state
+from drivers.cia402 import state_machine
+from drivers.cia402.modes import HomingStatus, Mode, decode_homing
+from drivers.cia402.state_machine import Command, Event, decode_command, decode_state
 from drivers.drive import DriveState as S
 
 
@@ -76,11 +77,11 @@ def test_the_words_a_master_sends(command: Command, word: int) -> None:
 
 
 def test_only_the_rising_edge_resets_a_fault() -> None:
-    assert cia402.is_fault_reset(0x0000, 0x0080)
-    assert cia402.is_fault_reset(0x000F, 0x008F)
-    assert not cia402.is_fault_reset(0x0080, 0x0080)
-    assert not cia402.is_fault_reset(0x0080, 0x0000)
-    assert not cia402.is_fault_reset(0x0000, 0x000F)
+    assert state_machine.is_fault_reset(0x0000, 0x0080)
+    assert state_machine.is_fault_reset(0x000F, 0x008F)
+    assert not state_machine.is_fault_reset(0x0080, 0x0080)
+    assert not state_machine.is_fault_reset(0x0080, 0x0000)
+    assert not state_machine.is_fault_reset(0x0000, 0x000F)
 
 
 # number, from, cause, to: figure 9, written out
@@ -115,7 +116,7 @@ ARROWS = [
 
 @pytest.mark.parametrize(("number", "source", "cause", "target"), ARROWS)
 def test_each_arrow_of_the_figure(number: int, source: S, cause: Command | Event, target: S) -> None:
-    assert cia402.next_state(source, cause) == (number, target)
+    assert state_machine.next_state(source, cause) == (number, target)
 
 
 def test_no_arrow_but_those_of_the_figure() -> None:
@@ -126,12 +127,12 @@ def test_no_arrow_but_those_of_the_figure() -> None:
     for state in S:
         for cause in (*Command, *Event):
             if (state, cause) not in drawn:
-                assert cia402.next_state(state, cause) is None, (state, cause)
+                assert state_machine.next_state(state, cause) is None, (state, cause)
 
 
 def test_bits_of_the_statusword() -> None:
     """IEC 61800-7-201, table 29, and the modes' own bits 10, 12 and 13."""
-    assert {name: int(bit) for name, bit in cia402.Status.__members__.items()} == {
+    assert {name: int(bit) for name, bit in state_machine.Status.__members__.items()} == {
         "READY_TO_SWITCH_ON": 1 << 0,
         "SWITCHED_ON": 1 << 1,
         "OPERATION_ENABLED": 1 << 2,
@@ -154,7 +155,7 @@ def test_bits_of_the_statusword() -> None:
 
 def test_bits_of_the_controlword() -> None:
     """IEC 61800-7-201, table 27, and the bits 4 to 6 of profile position, homing and interpolated position."""
-    assert {name: int(bit) for name, bit in cia402.Control.__members__.items()} == {
+    assert {name: int(bit) for name, bit in state_machine.Control.__members__.items()} == {
         "SWITCH_ON": 1 << 0,
         "ENABLE_VOLTAGE": 1 << 1,
         "QUICK_STOP_INACTIVE": 1 << 2,
@@ -197,17 +198,17 @@ def test_numbers_of_the_modes() -> None:
     ],
 )
 def test_bits_that_a_drive_in_a_state_shows(state: S, bits: int) -> None:
-    assert cia402.state_bits(state) == bits
+    assert state_machine.state_bits(state) == bits
 
 
 def test_the_way_up_and_the_way_down() -> None:
     """A master's words on the way to operation enabled, 06 07 0F, and back, 07 06 00; out of a fault none leads by itself."""
-    assert {state: step.word for state, step in cia402.ENABLE_STEPS.items()} == {
+    assert {state: step.word for state, step in state_machine.ENABLE_STEPS.items()} == {
         S.SWITCH_ON_DISABLED: 0x06,
         S.READY: 0x07,
         S.SWITCHED_ON: 0x0F,
     }
-    assert {state: step.word for state, step in cia402.DISABLE_STEPS.items()} == {
+    assert {state: step.word for state, step in state_machine.DISABLE_STEPS.items()} == {
         S.ENABLED: 0x07,
         S.SWITCHED_ON: 0x06,
         S.READY: 0x00,
@@ -247,7 +248,7 @@ def test_homing_bits_13_12_10(statusword: int, homing: HomingStatus | None) -> N
 
 def test_quick_stop_endings() -> None:
     """605Ah: 1 to 4 end in switch on disabled, 5 to 8 stay in quick stop active; 0 takes the power away at once."""
-    assert [code for code, ending in cia402.QUICK_STOP_ENDINGS.items() if ending.stays] == [5, 6, 7, 8]
-    assert [code for code, ending in cia402.QUICK_STOP_ENDINGS.items() if not ending.stays] == [0, 1, 2, 3, 4]
+    assert [code for code, ending in state_machine.QUICK_STOP_ENDINGS.items() if ending.stays] == [5, 6, 7, 8]
+    assert [code for code, ending in state_machine.QUICK_STOP_ENDINGS.items() if not ending.stays] == [0, 1, 2, 3, 4]
     ramps = ["NONE", *["SLOW_DOWN", "QUICK_STOP", "CURRENT_LIMIT", "VOLTAGE_LIMIT"] * 2]
-    assert [ending.ramp.name for ending in cia402.QUICK_STOP_ENDINGS.values()] == ramps
+    assert [ending.ramp.name for ending in state_machine.QUICK_STOP_ENDINGS.values()] == ramps

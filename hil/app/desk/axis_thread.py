@@ -9,7 +9,7 @@ from contextvars import copy_context
 from dataclasses import dataclass, replace
 from functools import partial
 
-from drivers.cia402_words import window
+from drivers.cia402.words import window
 from drivers.clock import NS_PER_S, Waiting, WallClock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import BridgeError, LinkLostError, StateError

@@ -9,15 +9,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from drivers.canopen import objects
 from drivers.canopen import scan as canopen
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.eds_text import summary
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.units import motion_units, read_units, readings
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
+from drivers.cia402.objects import DataType, Entry
+from drivers.cia402.units import motion_units, read_units, readings
 from drivers.clock import WallClock
 from drivers.drive_notes import DriveNotes, DriveWire, shipped_notes
 from drivers.errors import BridgeError, InputError, NoAnswerError, TransportError

@@ -12,12 +12,12 @@ import can
 import pytest
 
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.eds import load_eds
 from drivers.canopen.power import PowerTimes
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
+from drivers.cia402.modes import Mode
 from drivers.drive import Capability, DriveLimits, DriveState, DriveZero
 from drivers.errors import (
     CapabilityError,

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from drivers.canopen.eds import load_eds
 from drivers.canopen.eds_text import parse, summary
-from drivers.canopen.objects import QUICK_STOP_OPTION, TARGET_VELOCITY, DataType, Entry
+from drivers.cia402.objects import QUICK_STOP_OPTION, TARGET_VELOCITY, DataType, Entry
 from drivers.errors import InputError
 from sim_backends.canopen_drive import EDS
 

@@ -6,7 +6,7 @@ import pytest
 
 from drivers.canopen.eds import EdsEntry
 from drivers.canopen.not_parameters import Kind, refusal
-from drivers.canopen.objects import DataType, Entry
+from drivers.cia402.objects import DataType, Entry
 
 
 def kind_of(index: int, name: str, access: str = "rw", kind: DataType = DataType.U16, subindex: int = 0) -> Kind | None:

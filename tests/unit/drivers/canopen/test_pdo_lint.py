@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.canopen import objects
-from drivers.canopen.objects import Entry
 from drivers.canopen.pdo import EVENT, SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_lint import Cycle, Finding, MappableObject, Severity, lint, predict, refuse_errors
+from drivers.cia402 import objects
+from drivers.cia402.objects import Entry
 from drivers.errors import InputError
 
 

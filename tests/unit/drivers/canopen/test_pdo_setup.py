@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.pdo import EVENT, SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup, configure, entry_of, read_image
 from drivers.canopen.sdo import SdoClient
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind

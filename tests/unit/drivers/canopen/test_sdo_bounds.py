@@ -15,9 +15,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from support.sdo_peers import Answers, Flood, Peer, bare_bus
 
-from drivers.canopen import objects
 from drivers.canopen.bus import CanLink
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import QUIET_TIMES, Running, SdoClient
 from drivers.canopen.sdo_transfer import (
     LARGEST_ANNOUNCED,
@@ -33,6 +31,8 @@ from drivers.canopen.sdo_transfer import (
     upload,
 )
 from drivers.canopen.side_by_side import CanLine
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, BridgeError, NoAnswerError, OtherAnswerError, ProtocolError
 from sim_backends.canopen_bench import CanBench
 

@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.sdo import SdoClient, read_together
+from drivers.cia402 import objects
+from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError, StateError
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind
@@ -47,8 +48,8 @@ def _desk(*faults: CanFault) -> Desk:
 
 
 def test_numbers_and_texts(desk: Desk) -> None:
-    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
-    assert desk.sdo.read_text(objects.DEVICE_NAME) == "Simulated feed axis servo drive"
+    assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.read_text(cia301.DEVICE_NAME) == "Simulated feed axis servo drive"
     desk.sdo.write(objects.HOME_OFFSET, -123_456)
     assert desk.sdo.read(objects.HOME_OFFSET) == -123_456
 
@@ -83,14 +84,14 @@ def test_any_length_comes_back_as_it_was_written(data: bytes, block: bool, bitra
 def test_a_node_that_is_not_there_costs_the_time_out_and_no_more() -> None:
     desk = _desk(CanFault(CanFaultKind.NODE_DEAD))
     with pytest.raises(NoAnswerError, match="drive X: SDO 1000h:00 was not answered in time"):
-        desk.sdo.read(objects.DEVICE_TYPE)
+        desk.sdo.read(cia301.DEVICE_TYPE)
     assert desk.bench.clock.now_ns() == pytest.approx(1.2e9, abs=1e6)  # two time-outs and the quiet time between
     desk.close()
 
 
 def test_a_lost_answer_to_a_read_is_asked_again() -> None:
     desk = _desk(CanFault(CanFaultKind.SDO_LOST, count=1))
-    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
     assert desk.sdo.counters.timeouts == 1
     desk.close()
 
@@ -154,7 +155,7 @@ def test_a_late_answer_never_confirms_the_next_write(late_s: float) -> None:
 
 def test_an_answer_with_a_foreign_index_is_ignored() -> None:
     desk = _desk(CanFault(CanFaultKind.SDO_WRONG_INDEX, count=1))
-    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
     assert desk.sdo.counters.stale_frames >= 1
     desk.close()
 
@@ -218,7 +219,7 @@ def test_an_abort_that_names_no_object_ends_the_only_transfer(
     with pytest.raises(AbortError) as error:
         refused(desk.sdo)
     assert (error.value.code, desk.sdo.counters.timeouts) == (code, 0)
-    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+    assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
     desk.close()
 
 
@@ -257,8 +258,8 @@ def test_what_came_instead_of_an_answer_is_said_and_never_that_none_came(change:
 def test_an_impossible_answer_is_an_error() -> None:
     desk = _desk(CanFault(CanFaultKind.SDO_GARBAGE, count=1))
     with pytest.raises(ProtocolError, match="drive X: SDO 1000h:00: answered with command E0h"):
-        desk.sdo.read(objects.DEVICE_TYPE)
-    assert desk.sdo.read(objects.DEVICE_TYPE) == 0x20192
+        desk.sdo.read(cia301.DEVICE_TYPE)
+    assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
     desk.close()
 
 
@@ -273,7 +274,7 @@ def test_many_nodes_are_read_in_the_time_of_few() -> None:
     with CanLink(bench.port(), bench.clock) as link:
         clients = [SdoClient(link, node_id, f"node {node_id}") for node_id in node_ids]
         start_ns = bench.clock.now_ns()
-        values = read_together([(client, objects.SERIAL_NUMBER) for client in clients])
+        values = read_together([(client, cia301.SERIAL_NUMBER) for client in clients])
         together_ns = bench.clock.now_ns() - start_ns
         assert values == [1000 + node_id for node_id in node_ids]
     wire_ns = bench.wire.busy_ns
@@ -284,7 +285,7 @@ def test_one_dead_node_does_not_stall_the_others() -> None:
     bench = CanBench((1, 2, 3), faults={2: [CanFault(CanFaultKind.NODE_DEAD)]})
     with CanLink(bench.port(), bench.clock) as link:
         clients = [SdoClient(link, node_id, f"node {node_id}") for node_id in (1, 2, 3)]
-        values = read_together([(client, objects.DEVICE_TYPE) for client in clients])
+        values = read_together([(client, cia301.DEVICE_TYPE) for client in clients])
         assert values[0] == values[2] == 0x20192
         assert isinstance(values[1], NoAnswerError)
         assert "node 2" in str(values[1])
@@ -295,5 +296,5 @@ def test_one_channel_carries_one_transfer() -> None:
     with CanLink(bench.port(), bench.clock) as link:
         client = SdoClient(link, 1, "node 1")
         with pytest.raises(StateError, match="already in use"):
-            read_together([(client, objects.DEVICE_TYPE), (client, objects.STATUSWORD)])
-        assert client.read(objects.DEVICE_TYPE) == 0x20192
+            read_together([(client, cia301.DEVICE_TYPE), (client, objects.STATUSWORD)])
+        assert client.read(cia301.DEVICE_TYPE) == 0x20192

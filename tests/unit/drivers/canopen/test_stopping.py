@@ -12,13 +12,14 @@ from functools import partial
 import can
 import pytest
 
-from drivers.canopen import objects
+from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
-from drivers.canopen.cia402 import Mode
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.power import PowerTimes
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.cia402 import objects
+from drivers.cia402.modes import Mode
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import (
@@ -322,7 +323,7 @@ def test_a_stop_in_the_middle_of_a_long_transfer(make: MakeRig, reading: bool) -
         transfer()
     rig.link.unwatch(at_the_second_segment)
     assert drive.sdo.read(objects.STATUSWORD) & 0x6F != 0x27
-    assert drive.sdo.read_text(objects.DEVICE_NAME) == "Simulated feed axis servo drive"
+    assert drive.sdo.read_text(cia301.DEVICE_NAME) == "Simulated feed axis servo drive"
 
 
 @pytest.mark.parametrize("option", [2, 6])

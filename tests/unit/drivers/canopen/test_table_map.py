@@ -8,8 +8,8 @@ import pytest
 
 from drivers.canopen.eds import EdsEntry
 from drivers.canopen.not_parameters import why_not_written
-from drivers.canopen.objects import DataType, Entry
 from drivers.canopen.table_map import load_table_map, shipped_tables
+from drivers.cia402.objects import DataType, Entry
 from drivers.correction_table import Directions, Nodes, Quantity, RawTable
 from drivers.errors import InputError
 

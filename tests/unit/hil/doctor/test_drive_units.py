@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import pytest
 
-from drivers.canopen.units import readings
+from drivers.cia402.units import readings
 from drivers.scaling import AxisScaling, ReportedScaling
 from hil.doctor.drive_units import compare_units
 

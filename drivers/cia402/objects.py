@@ -1,8 +1,4 @@
-"""The objects of CiA-301 and CiA-402 that this project reads and writes, with names and types.
-
-Index, subindex, type and name of standard objects, and how a value of such a type is packed. Manufacturer objects come from an EDS
-(see `eds`).
-"""
+"""Objects of a drive: index, sub-index, type and name, how a value of such a type is packed, and those of CiA 402 by name."""
 
 from __future__ import annotations
 
@@ -10,11 +6,7 @@ import struct
 from dataclasses import dataclass
 from enum import Enum
 
-from drivers.canopen.sdo_transfer import LARGEST_ANNOUNCED
 from drivers.errors import InputError, ProtocolError
-
-LONGEST_TEXT = 4096
-"""Longest VISIBLE_STRING that is read, bytes; the standard's texts have a few dozen."""
 
 
 class DataType(Enum):
@@ -113,12 +105,6 @@ class Entry:
         """The value that maps this entry into a PDO: index, subindex, length in bits."""
         return self.index << 16 | self.subindex << 8 | self.bits
 
-    @property
-    def most_bytes(self) -> int:
-        """Longest answer accepted, bytes: for a number eight, the longest type's, as some devices answer with more than the object
-        has."""
-        return 8 if self.type.is_number else LONGEST_TEXT if self.type.is_text else LARGEST_ANNOUNCED
-
     def same(self, shown: bytes, meant: bytes) -> bool:
         """Whether `shown`, read from a device, equals `meant`, by the type.
 
@@ -185,29 +171,7 @@ def _entry(index: int, subindex: int, data_type: DataType, name: str) -> Entry:
     return Entry(index, subindex, data_type, name)
 
 
-# CiA-301, communication
-DEVICE_TYPE = _entry(0x1000, 0, DataType.U32, "device type")
-ERROR_REGISTER = _entry(0x1001, 0, DataType.U8, "error register")
-ERROR_HISTORY = _entry(0x1003, 0, DataType.U8, "number of errors")
-SYNC_COB_ID = _entry(0x1005, 0, DataType.U32, "COB-ID SYNC")
-SYNC_PERIOD = _entry(0x1006, 0, DataType.U32, "communication cycle period")
-DEVICE_NAME = _entry(0x1008, 0, DataType.STRING, "manufacturer device name")
-HARDWARE_VERSION = _entry(0x1009, 0, DataType.STRING, "hardware version")
-SOFTWARE_VERSION = _entry(0x100A, 0, DataType.STRING, "software version")
-GUARD_TIME = _entry(0x100C, 0, DataType.U16, "guard time")
-LIFE_FACTOR = _entry(0x100D, 0, DataType.U8, "life time factor")
-STORE_ALL = _entry(0x1010, 1, DataType.U32, "store all parameters")
-RESTORE_ALL = _entry(0x1011, 1, DataType.U32, "restore all defaults")
-EMCY_COB_ID = _entry(0x1014, 0, DataType.U32, "COB-ID EMCY")
-CONSUMER_COUNT = _entry(0x1016, 0, DataType.U8, "number of consumer heartbeats")
-CONSUMER_HEARTBEAT = _entry(0x1016, 1, DataType.U32, "consumer heartbeat time")
-PRODUCER_HEARTBEAT = _entry(0x1017, 0, DataType.U16, "producer heartbeat time")
-VENDOR_ID = _entry(0x1018, 1, DataType.U32, "vendor id")
-PRODUCT_CODE = _entry(0x1018, 2, DataType.U32, "product code")
-REVISION = _entry(0x1018, 3, DataType.U32, "revision number")
-SERIAL_NUMBER = _entry(0x1018, 4, DataType.U32, "serial number")
-
-# CiA-402, device control
+# device control
 ABORT_OPTION = _entry(0x6007, 0, DataType.I16, "abort connection option code")
 ERROR_CODE = _entry(0x603F, 0, DataType.U16, "error code")
 CONTROLWORD = _entry(0x6040, 0, DataType.U16, "controlword")
@@ -237,7 +201,7 @@ MODE = _entry(0x6060, 0, DataType.I8, "modes of operation")
 MODE_DISPLAY = _entry(0x6061, 0, DataType.I8, "modes of operation display")
 SUPPORTED_MODES = _entry(0x6502, 0, DataType.U32, "supported drive modes")
 
-# CiA-402, values
+# values
 POSITION_DEMAND = _entry(0x6062, 0, DataType.I32, "position demand value")
 POSITION_ACTUAL = _entry(0x6064, 0, DataType.I32, "position actual value")
 FOLLOWING_ERROR_WINDOW = _entry(0x6065, 0, DataType.U32, "following error window")
@@ -282,16 +246,4 @@ FOLLOWING_ERROR_ACTUAL = _entry(0x60F4, 0, DataType.I32, "following error actual
 DIGITAL_INPUTS = _entry(0x60FD, 0, DataType.U32, "digital inputs")
 DIGITAL_OUTPUTS = _entry(0x60FE, 1, DataType.U32, "physical outputs")
 DIGITAL_OUTPUTS_MASK = _entry(0x60FE, 2, DataType.U32, "mask of the outputs")
-
-
-def module_inputs(block: int) -> Entry:
-    """Inputs 8 · block to 8 · block + 7 of an I/O module (CiA 401, 6000h)."""
-    return _entry(0x6000, block + 1, DataType.U8, "digital inputs of a module")
-
-
-def module_outputs(block: int) -> Entry:
-    """Outputs 8 · block to 8 · block + 7 of an I/O module (CiA 401, 6200h)."""
-    return _entry(0x6200, block + 1, DataType.U8, "digital outputs of a module")
-
-
 TARGET_VELOCITY = _entry(0x60FF, 0, DataType.I32, "target velocity")

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-LARGEST_POSITION = 2**31 - 1
-"""Positions are 32 bits with a sign."""
+from drivers.scaling import LARGEST_POSITION
 
 
 def window(word: float | None) -> float | None:

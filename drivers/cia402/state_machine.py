@@ -1,4 +1,4 @@
-"""The CiA-402 power state machine (IEC 61800-7-201) as data, without I/O, for drive and master alike.
+"""The CiA 402 state machine (IEC 61800-7-201) as data, without I/O, for drive and master alike.
 
 Bit patterns, transitions and pure functions over them, in the form that both the drive (which obeys a controlword) and the master
 (which chooses one) can use. Because both sides of the tests use this file, it is checked against literal vectors written from the
@@ -8,7 +8,7 @@ standard (tests/wire), never against itself.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import Enum, IntEnum, IntFlag
+from enum import Enum, IntFlag
 
 from drivers.drive import DriveState
 
@@ -52,24 +52,6 @@ class Control(IntFlag):
     INTERPOLATE = 0x0010  # interpolated position, while 1
     FAULT_RESET = 0x0080  # on its rising edge
     HALT = 0x0100
-
-
-class Mode(IntEnum):
-    """Modes of operation, 6060h and 6061h; the bit of mode m > 0 in 6502h is m - 1."""
-
-    NONE = 0
-    PROFILE_POSITION = 1
-    PROFILE_VELOCITY = 3
-    HOMING = 6
-    INTERPOLATED_POSITION = 7
-    CYCLIC_POSITION = 8
-    CYCLIC_VELOCITY = 9
-    CYCLIC_TORQUE = 10
-
-    @property
-    def supported_bit(self) -> int:
-        """The mask of this mode in 6502h, 0 for NONE."""
-        return 1 << (self - 1) if self > 0 else 0
 
 
 @dataclass(frozen=True)
@@ -246,27 +228,3 @@ DISABLE_STEPS: dict[DriveState, Command] = {
     DriveState.QUICK_STOP: Command.DISABLE_VOLTAGE,
 }
 """The command that leads one state nearer to SWITCH_ON_DISABLED."""
-
-
-class HomingStatus(Enum):
-    """Statusword bits 13, 12 and 10 in homing mode; reserved patterns decode to None."""
-
-    IN_PROGRESS = 0b000
-    INTERRUPTED = 0b001  # or not started
-    ATTAINED_NOT_REACHED = 0b010
-    COMPLETED = 0b011
-    ERROR_MOVING = 0b100
-    ERROR_STANDSTILL = 0b101
-
-    @property
-    def failed(self) -> bool:
-        return self in (HomingStatus.ERROR_MOVING, HomingStatus.ERROR_STANDSTILL)
-
-
-def decode_homing(statusword: int) -> HomingStatus | None:
-    """Homing status of a statusword read in homing mode (6061h = 6); None for the reserved patterns 11x (bits 13, 12, 10)."""
-    bits = (statusword >> 11 & 0b100) | (statusword >> 11 & 0b010) | (statusword >> 10 & 0b001)
-    try:
-        return HomingStatus(bits)
-    except ValueError:
-        return None

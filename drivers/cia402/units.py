@@ -11,15 +11,13 @@ that their manufacturer chose. Micrometres are assumed then, the usual choice.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import partial
 
-from drivers.canopen import objects
-from drivers.canopen.objects import Entry
-from drivers.canopen.sdo import SdoClient
-from drivers.errors import AbortError
+from drivers.cia402 import objects
+from drivers.cia402.objects import Entry
+from drivers.cia402.wire import Objects
 from drivers.scaling import AxisScaling, MotionScaling, MotionUnit, ReportedScaling, motion_unit
 
 METRE = 0x01  # the unit in bits 16 to 23 of 60A8h (CiA-303-2); bits 24 to 31 are its power of ten
@@ -27,9 +25,9 @@ MM_PER_M = 1000
 UM_PER_MM = 1000
 
 
-def read_units(sdo: SdoClient) -> ReportedScaling:
+def read_units(device: Objects) -> ReportedScaling:
     """Read the objects. Raises NoAnswerError, ProtocolError; an object that is missing or zero becomes None."""
-    read = partial(sdo.read_if_shown, absent=None)
+    read = partial(device.read_if_shown, absent=None)
     encoder = _ratio(read, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
     if encoder == 1:  # as delivered, never set
         encoder = None
@@ -45,32 +43,6 @@ def read_units(sdo: SdoClient) -> ReportedScaling:
         return ReportedScaling(encoder, gear, feed / UM_PER_MM)
     metre = _power_of_metre(si_unit)
     return ReportedScaling(encoder, gear, None if metre is None else feed * metre * MM_PER_M, feed)
-
-
-UNIT_OBJECTS = (
-    *((index, subindex) for index in (0x608F, 0x6091, 0x6092, 0x6093) for subindex in (1, 2)),
-    (0x607E, 0),
-    (0x60A8, 0),
-)
-"""Encoder resolution, gear ratio, feed constant, position factor (of drives by the older DSP 402), polarity, unit of position."""
-
-
-def unit_objects(sdo: SdoClient) -> dict[str, int]:
-    """The unit objects that the drive has, such as "6091h:01", as whole numbers. Raises as `read_units`."""
-    found = {}
-    for index, subindex in UNIT_OBJECTS:
-        try:
-            data = sdo.read_bytes(index, subindex)
-        except AbortError:
-            continue
-        found[f"{index:04X}h:{subindex:02X}"] = int.from_bytes(data, "little")
-    return found
-
-
-def object_of(name: str) -> tuple[int, int] | None:
-    """(index, subindex) of "2201h" or "2201h:01"; None for what is no object."""
-    match = re.fullmatch(r"([0-9A-Fa-f]{4})h(?::([0-9A-Fa-f]{2}))?", name)
-    return None if match is None else (int(match[1], 16), int(match[2] or "0", 16))
 
 
 def _units_per_turn(si_unit: int) -> Fraction | None:

@@ -7,11 +7,11 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.objects import Entry
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.side_by_side import CanLine
-from drivers.canopen.units import motion_units, read_units
+from drivers.cia402.objects import Entry
+from drivers.cia402.units import motion_units, read_units
 from drivers.drive import DriveLimits
 from drivers.errors import AbortError, BridgeError
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
