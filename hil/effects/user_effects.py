@@ -1,29 +1,25 @@
 """Effects of a user's own beside the catalogue: from a file named on the command line, or from an installed package.
 
-This is the only place where code from outside the project is loaded. It is named on the command line, or by the entry
-points (group
-`hil.effects`) of installed packages; no records, model, axis or sealed file can name any. The result is a tuple that
-the caller passes on; there is no registry.
+Code from outside is named on the command line, or by the entry points (group `hil.effects`) of installed packages; no records, model,
+axis or sealed file can name any. The result is a tuple that the caller passes on; there is no registry.
 """
 
 from __future__ import annotations
 
 import re
 import sys
-import traceback
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import EntryPoint, entry_points
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import BridgeError, InputError
-from drivers.files import encoding_of, read_bytes
 from hil.effects import ALL, NEVER_SEARCHED, Action, Effect, Rival, survey_of
 from hil.effects.history import complete
+from hil.effects.user_code import in_short, line_in, load_code
 
 GROUP = "hil.effects"
 """Group of the entry points; each names an effect, or a tuple of effects."""
@@ -52,22 +48,7 @@ def effects_of_file(path: str | Path) -> tuple[Effect, ...]:
     """The `EFFECTS` of one Python file, which is run. Raises InputError naming the file, and the line where its code
     fails.
     """
-    place = Path(path)
-    if not place.is_file():
-        raise InputError("is no file; expected Python code with EFFECTS = (…)", path=path)
-    if (codec := encoding_of(read_bytes(path))) not in ("utf-8", "utf-8-sig"):
-        raise InputError(f"is {codec.upper()} text, expected Python code in UTF-8: save it as UTF-8", path=path)
-    name = f"hil_user_effects_{abs(hash(place.resolve())):x}"
-    spec = spec_from_file_location(name, place.resolve())
-    if spec is None or spec.loader is None:
-        raise InputError("is no Python; expected a .py file with EFFECTS = (…)", path=path)
-    module = module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses look their module up while it loads
-    try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        del sys.modules[name]
-        raise InputError(f"fails when loaded: {_what(error)}", path=path, line=_line(error, spec.origin)) from error
+    module = load_code(path, "EFFECTS = (…)")
     if not hasattr(module, "EFFECTS"):
         raise InputError("holds no EFFECTS; expected EFFECTS = (MyEffect(), …)", path=path)
     return _effects_of(module.EFFECTS, path)
@@ -111,9 +92,9 @@ def attributing_errors(effects: Sequence[Effect]) -> Iterator[None]:
         raise
     except Exception as error:
         for file in files:
-            line = _line(error, file)
+            line = line_in(error, file)
             if line is not None:
-                raise InputError(f"fails: {_what(error)}", path=file, line=line) from error
+                raise InputError(f"fails: {in_short(error)}", path=file, line=line) from error
         raise
 
 
@@ -125,7 +106,7 @@ def _loaded(entry: EntryPoint) -> object:
     try:
         return entry.load()
     except (Exception, SystemExit) as error:
-        raise InputError(f"fails when loaded: {_what(error)}", path=_package(entry)) from error
+        raise InputError(f"fails when loaded: {in_short(error)}", path=_package(entry)) from error
 
 
 def _effects_of(value: object, place: str | Path) -> tuple[Effect, ...]:
@@ -159,19 +140,6 @@ def _check(effect: Effect, place: str | Path) -> None:
 
 def _file_of(effect: Effect) -> str | None:
     return getattr(sys.modules.get(type(effect).__module__), "__file__", None)
-
-
-def _line(error: BaseException, file: str | None) -> int | None:
-    """The last line of a file in an exception's traceback."""
-    if isinstance(error, SyntaxError) and error.filename == file:
-        return error.lineno
-    lines = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == file]
-    return lines[-1] if lines else None
-
-
-def _what(error: BaseException) -> str:
-    text = error.msg if isinstance(error, SyntaxError) else str(error)
-    return f"{type(error).__name__}: {text}" if text else type(error).__name__
 
 
 def _short(value: object) -> str:

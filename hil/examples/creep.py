@@ -1,24 +1,25 @@
-"""Creep after a stop: python -m hil.examples.creep AXIS.toml OUT.csv; `hil diagnose OUT.csv` reads the rows."""
+"""Creep after a stop: hil run creep.py X.toml, then hil diagnose on its rows; hil run creep.py --help says the parameters."""
 
-import sys
+from collections.abc import Iterator
 
 import hil
 
 
-def main(path: str, out: str) -> int:
-    with hil.open(path) as axis:
-        axis.home()
-        runs = []
-        for run, place_mm in enumerate((100.0, 20.0, 100.0, 20.0, 100.0), start=1):
-            axis.move_to(place_mm)
-            runs.append(hil.Rows.of(axis.watch(20.0, every_s=0.5), run))
-    rows = sum(runs[1:], runs[0])
-    print(rows, "in", rows.save(out))
-    for one in runs:
-        crept_um = 1000.0 * (one["measured_mm"][-1] - one["measured_mm"][0])
-        print(f"{one['target_mm'][0]:g} mm: {crept_um:+.2f} µm in 20 s")
-    return 0
+class Creep(hil.Procedure):
+    """Position against time after arriving, at several targets."""
 
+    targets_mm: tuple[float, ...] = (100.0, 20.0, 100.0, 20.0, 100.0)
+    velocity_mm_s: float = 50.0
+    watch_s: float = 20.0
+    every_s: float = 0.5
 
-if __name__ == "__main__":
-    sys.exit(main(*sys.argv[1:]))
+    def plan(self, axis: hil.Axis) -> Iterator[hil.Move]:
+        yield hil.Move("measure", min(self.targets_mm), max(self.targets_mm), self.velocity_mm_s)
+
+    def run(self, axis: hil.Axis) -> Iterator[hil.Row]:
+        for run, target_mm in enumerate(self.targets_mm, start=1):
+            axis.move_to(target_mm, self.velocity_mm_s)
+            if run < axis.first_run:  # on disk already; each target is still reached from the one before
+                continue
+            for reading in axis.watch(self.watch_s, self.every_s):
+                yield reading.row(run)

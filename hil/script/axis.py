@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Self, Unpack
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
-from drivers.errors import CapabilityError, InputError, StateError
+from drivers.errors import CapabilityError, InputError, LimitError, StateError
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.machine.events import Event, Listener, silent
 from hil.records.journal import Campaign
@@ -21,6 +21,7 @@ from hil.script.results import (
     CalibrationResult,
     DoctorResult,
     LoopResult,
+    ProcedureResult,
     ReversalResult,
     VerificationResult,
 )
@@ -32,11 +33,13 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from drivers.instrument import Reading
     from hil.app.desk.axis_thread import Connection
     from hil.app.jobs.job import Job, Workplace
+    from hil.app.jobs.plan import Move
     from hil.app.jobs.zero_statement import ZeroStatement
     from hil.correction.store import SealedStore
     from hil.machine.session import AxisSession
     from hil.machine.supervisor import Supervisor
     from hil.script.parameters import Parameters
+    from hil.script.procedure import Procedure
 
 
 def open_axis(
@@ -79,6 +82,8 @@ class Axis:
         self._opened_ns = 0
         self._homed = False  # the datum is taken, and the history known
         self._last: tuple[float, float, int] | None = None  # target, command, direction of arrival
+        self._moves: tuple[Move, ...] | None = None  # that a procedure may make; None: no procedure runs
+        self.first_run = 1  # that a procedure is to measure; a resumed one has those before
 
     @property
     def name(self) -> str:
@@ -90,7 +95,7 @@ class Axis:
         """The drive's parameters: backup, diff, download, verify, restore, store."""
         from hil.script.parameters import Parameters  # noqa: PLC0415
 
-        return Parameters(self.file, self.run)
+        return Parameters(self.file, self._carry_out)
 
     def __repr__(self) -> str:
         return f"<axis {self.name} of {self.file.path}{'' if self._connection else ', not open'}>"
@@ -105,6 +110,10 @@ class Axis:
     ) -> None:
         self._connection = None
         self._stack.__exit__(exc_type, exc, traceback)
+
+    def confine(self, moves: tuple[Move, ...], begun_ns: int) -> None:
+        """A procedure runs: the axis is homed, and moves within these moves alone. begun_ns: when its time began."""
+        self._moves, self._opened_ns, self._homed = moves, begun_ns, True
 
     def forget(self) -> None:
         """Its owner disconnects it."""
@@ -227,7 +236,13 @@ class Axis:
             target_mm,
             command_mm,
             direction,
+            self._sensors(),
         )
+
+    def _sensors(self) -> dict[str, float]:
+        session = self._require().session
+        known = {} if session is None else session.known()
+        return {name: value for name, value in known.items() if name not in ("time_s", "velocity_mm_s")}
 
     # -- moving --------------------------------------------------------------------------------------------------------
     def home(self, *, corrected: bool = False, new_zero: bool = False, instrument_zeroed: bool = False) -> None:
@@ -237,6 +252,8 @@ class Axis:
         homing and moving raise.
         """
         session = self._require().session
+        if self._moves is not None:
+            raise StateError(f"axis {self.name} is homed already: a procedure begins so")
         self._last = None
         if session is None:
             self._supervisor.get_ready(home=True)
@@ -265,6 +282,7 @@ class Axis:
         connection.drive.limits.check_target(position_mm)
         before_mm = sample.position_load_mm if self._last is None else self._last[0]
         velocity, command_mm = self._velocity(velocity_mm_s), position_mm
+        self._check_planned(position_mm, velocity)
         if session is None:
             self._supervisor.move(position_mm, velocity)
         else:
@@ -272,6 +290,14 @@ class Axis:
         came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
         direction = came or (0 if self._last is None else self._last[2])
         self._last = (position_mm, command_mm, direction)
+
+    def _check_planned(self, position_mm: float, velocity_mm_s: float) -> None:
+        """Raises LimitError for a move that a running procedure has not planned."""
+        moves = self._moves
+        if moves is not None and not any(
+            one.low_mm <= position_mm <= one.high_mm and velocity_mm_s <= one.velocity_mm_s for one in moves
+        ):
+            raise LimitError(f"{position_mm:g} mm at {velocity_mm_s:g} mm/s is no move that plan() names")
 
     def _velocity(self, velocity_mm_s: float | None) -> float:
         if velocity_mm_s is not None:
@@ -305,6 +331,7 @@ class Axis:
         def path() -> Iterator[tuple[float, float]]:
             before_mm = session.command_state.known_history.position_mm
             for target_mm in positions_mm:
+                self._check_planned(target_mm, abs(target_mm - before_mm) / period_s)
                 targets.append(target_mm)
                 yield target_mm, (target_mm - before_mm) / period_s
                 before_mm = target_mm
@@ -339,7 +366,7 @@ class Axis:
         from hil.calibration.job import CALIBRATE, calibration_job  # noqa: PLC0415  (loads slowly)
 
         axis, zero = self._measured_file(measurement=how), _stated(new_zero, instrument_zeroed)
-        result = self.run(
+        result = self._carry_out(
             calibration_job(axis, resume=resume, zero=zero), self._passwords.store(axis, writing=True), axis
         )
         return CalibrationResult(axis, _folder(axis, CALIBRATE), result)
@@ -362,7 +389,7 @@ class Axis:
         if store is not None and axis.straightness is not None and store.load().moves_axis:
             across = Across.of(axis, self._store_of_other(axis))
         job = verification_job(axis, corrected=corrected, seed=seed, resume=resume, zero=zero, across=across)
-        verified = self.run(job, store, axis)
+        verified = self._carry_out(job, store, axis)
         tables = None if verified.compensation is None else verified.compensation.tables
         return VerificationResult(axis, _folder(axis, VERIFY if corrected else UNCORRECTED), tables, verified.result)
 
@@ -378,10 +405,10 @@ class Axis:
         settings = backlash_config(axis)
         into_tables = write and settings.parameter is None and isinstance(axis, AxisConfig)
         store = self._passwords.store(axis, writing=True) if into_tables and isinstance(axis, AxisConfig) else None
-        measured = self.run(measuring_job(axis, settings), store)
+        measured = self._carry_out(measuring_job(axis, settings), store)
         mean_um = measured.result.lost_motion_um
         if write and mean_um is not None:
-            self.run(write_job(axis, settings, mean_um), store)
+            self._carry_out(write_job(axis, settings, mean_um), store)
         return BacklashResult(axis, None, measured, write and mean_um is not None)
 
     def lost_motion(
@@ -397,10 +424,10 @@ class Axis:
         axis = self._measured_file(lost_motion=how)
         there = bound_tables(axis) is not None
         opened = self._passwords.store(axis, writing=store) if store or there else None
-        measured = self.run(measuring_job(axis, lost_motion_config(axis), seed=seed, resume=resume), opened)
+        measured = self._carry_out(measuring_job(axis, lost_motion_config(axis), seed=seed, resume=resume), opened)
         stored = store and measured.result.good
         if stored:
-            self.run(store_job(axis, measured), opened)
+            self._carry_out(store_job(axis, measured), opened)
         return ReversalResult(axis, measured.kept, measured, stored)
 
     def close_loop(
@@ -421,7 +448,7 @@ class Axis:
         axis = self._measured_file()
         in_motion = passes_at(axis, tuple(feeds_mm_s)) if feeds_mm_s else None
         turning = Turning(Exploration(runs, rows, warm_up_s), in_motion=in_motion)
-        looped = self.run(loop_job(axis, turning, resume=resume), self._passwords.store(axis, writing=True))
+        looped = self._carry_out(loop_job(axis, turning, resume=resume), self._passwords.store(axis, writing=True))
         return LoopResult(axis, _folder(axis, CLOSE_LOOP), looped.loop, looped.stages, looped.good)
 
     def _measured_file(self, **given: Any) -> AxisConfig:
@@ -432,7 +459,26 @@ class Axis:
             raise CapabilityError(f"axis {self.name} has no instrument: its file ends with the drive")
         return axis
 
-    def run(self, job: Job, store: SealedStore | None = None, axis: AxisConfig | None = None) -> Any:
+    def run(
+        self,
+        procedure: Procedure,
+        *,
+        corrected: bool = False,
+        resume: bool = False,
+        new_zero: bool = False,
+        instrument_zeroed: bool = False,
+    ) -> ProcedureResult:
+        """Carry out a procedure of yours, as `hil run`; corrected: with the stored correction in force."""
+        from hil.script.procedure import values_of  # noqa: PLC0415  (drivers load slowly)
+        from hil.script.procedure_job import procedure_job  # noqa: PLC0415  (as above)
+
+        axis, zero = self._measured_file(), _stated(new_zero, instrument_zeroed)
+        job = procedure_job(axis, procedure, corrected=corrected, resume=resume, zero=zero)
+        carried = self._carry_out(job, self._passwords.store(axis, writing=False) if corrected else None)
+        name = type(procedure).__name__
+        return ProcedureResult(axis, carried.campaign, name, values_of(procedure), carried.records)
+
+    def _carry_out(self, job: Job, store: SealedStore | None = None, axis: AxisConfig | None = None) -> Any:
         """Run a job as the screen's desk does; its result. axis: with the measurement that takes the place of the session's."""
         on = self._require()
         if job.connects:
@@ -454,6 +500,8 @@ class Axis:
 
     @contextmanager
     def _job(self) -> Iterator[None]:
+        if self._moves is not None:
+            raise StateError(f"axis {self.name} carries out a procedure, and no other job meanwhile")
         one_job: AbstractContextManager[object] = self._require().one_job()
         self._homed, self._last = False, None
         with one_job:

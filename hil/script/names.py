@@ -18,6 +18,7 @@ from drivers.errors import (
     StateError,
     UnprovenError,
 )
+from hil.app.jobs.plan import Move
 from hil.correction.sealed.errors import SealedError, WrongPasswordError
 from hil.machine.events import Event
 from hil.records.made_with import MadeWithError
@@ -26,6 +27,7 @@ from hil.script.axes import open_axes
 from hil.script.axis import Axis
 from hil.script.axis import open_axis as open
 from hil.script.parameters import Parameters
+from hil.script.procedure import Procedure, Row
 from hil.script.reading import AxisReading
 from hil.script.results import (
     BacklashResult,
@@ -36,6 +38,7 @@ from hil.script.results import (
     MeasuredResult,
     ParameterComparison,
     ParameterWriting,
+    ProcedureResult,
     Result,
     ReversalResult,
     VerificationResult,
@@ -64,13 +67,17 @@ __all__ = [
     "MeasuredResult",
     "MeasurementLostError",
     "MotionTimeoutError",
+    "Move",
     "NoAnswerError",
     "OverspeedError",
     "ParameterComparison",
     "ParameterWriting",
     "Parameters",
+    "Procedure",
+    "ProcedureResult",
     "Result",
     "ReversalResult",
+    "Row",
     "Rows",
     "SafetyError",
     "SealedError",

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from drivers.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -14,6 +17,7 @@ class AxisReading:
     the datum; instrument_raw_mm: in the instrument's own frame
     std_um: standard deviation of one reading, where several were averaged
     target_mm, command_mm: of the last `move_to`, without and with the correction; direction: of arrival there, +1 or -1, 0 before
+    sensors: of air, workpiece and conditions, by their columns in the record format
     """
 
     time_s: float
@@ -30,6 +34,18 @@ class AxisReading:
     target_mm: float | None = None
     command_mm: float | None = None
     direction: int = 0
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    def row(self, run: int = 1) -> dict[str, float]:
+        """A row of the record format. Raises InputError without a target or without the instrument's position: both are there after
+        `home()` and `move_to()`."""
+        if self.instrument_mm is None or self.target_mm is None or self.command_mm is None:
+            missing = "position of the instrument" if self.instrument_mm is None else "target"
+            raise InputError(f"a reading has no {missing}, expected home() and move_to() before it")
+        row = {"run": float(run), "direction": float(self.direction), "target_mm": self.target_mm}
+        row |= {"measured_mm": self.instrument_mm, "command_mm": self.command_mm, "time_s": self.time_s}
+        row |= {"motor_mm": self.motor_mm, **self.sensors}
+        return row if self.torque_percent is None else row | {"torque_percent": self.torque_percent}
 
     def __repr__(self) -> str:
         seen = "–" if self.instrument_mm is None else f"{self.instrument_mm:.5f} mm"

@@ -445,6 +445,61 @@ class LoopResult(MeasuredResult):
 
 
 @dataclass(frozen=True, repr=False)
+class ProcedureResult(MeasuredResult):
+    """A procedure of the user's that was carried out. name: of its class; parameters: its values; raw: its rows."""
+
+    axis: AxisConfig
+    name: str
+    parameters: Mapping[str, Any]
+    raw: Records
+
+    @cached_property
+    def figures(self) -> ErrorFigures:
+        """Of the errors of its rows."""
+        return ErrorFigures.of(self.raw)
+
+    @property
+    def good(self) -> bool:
+        """It came to its end."""
+        return True
+
+    @property
+    def records(self) -> Records:
+        """All rows."""
+        return self.raw
+
+    @property
+    def path(self) -> Path:
+        """The file of the rows. Raises InputError for a result without one."""
+        if self.campaign is None:
+            raise InputError("this result has no folder of rows")
+        return next(self.campaign.glob("*.csv"))
+
+    @property
+    def sentence(self) -> str:
+        """How many rows in how many runs, and their error."""
+        runs = len(self.raw.runs)
+        return f"{self.name} of {self.axis.name}: {len(self.raw)} rows in {runs} run(s), {self.figures.in_short}"
+
+    def form(self) -> Mapping[str, Any]:
+        """As `hil run --json`."""
+        told = {"axis": self.axis.name, "procedure": self.name, "parameters": self.parameters}
+        return {**told, "good": self.good, "records": str(self.path), "runs": self.raw.runs, **vars(self.figures)}
+
+    def _page(self) -> str:
+        from hil.app.jobs.identity import identity  # noqa: PLC0415  (plots are slow to import)
+        from hil.app.report.data import NamedCampaign, ReportData  # noqa: PLC0415
+        from hil.app.report.document import render_html  # noqa: PLC0415
+        from hil.axis.axis_file import uncertainty_of  # noqa: PLC0415
+        from hil.records.journal import name_of  # noqa: PLC0415
+
+        given = {name: str(value) for name, value in self.parameters.items()}
+        rows = NamedCampaign(self.name, self.raw, source=name_of(self.path))
+        title, known = f"{self.name} on axis {self.axis.name}", uncertainty_of(self.axis)
+        return render_html(ReportData(title, (rows,), identity(self.axis) | given, uncertainty=known))
+
+
+@dataclass(frozen=True, repr=False)
 class ParameterComparison(Result):
     """A drive compared with a set. raw: as the procedure returns it."""
 

@@ -26,10 +26,10 @@ class Rows:
     def of(cls, readings: Iterable[AxisReading], run: int = 1) -> Rows:
         """Rows of readings, for `hil diagnose`. Raises InputError for a reading without a target or without the instrument's position:
         both are there after `home()` and `move_to()`."""
-        rows = [_row(one, run) for one in readings]
+        rows = [one.row(run) for one in readings]
         if not rows:
             raise InputError("there are no readings, expected at least one")
-        names = [name for name in rows[0] if all(row.get(name) is not None for row in rows)]
+        names = [name for name in rows[0] if all(name in row for row in rows)]
         return cls({name: np.array([row[name] for row in rows], dtype=np.float64) for name in names})
 
     @classmethod
@@ -66,19 +66,3 @@ class Rows:
     def to_polars(self) -> Any:
         """A polars.DataFrame; Polars has to be installed."""
         return import_module("polars").DataFrame(dict(self.columns))
-
-
-def _row(one: AxisReading, run: int) -> dict[str, float | None]:
-    if one.instrument_mm is None or one.target_mm is None:
-        missing = "position of the instrument" if one.instrument_mm is None else "target"
-        raise InputError(f"a reading has no {missing}, expected home() and move_to() before it")
-    return {
-        "run": run,
-        "direction": one.direction,
-        "target_mm": one.target_mm,
-        "measured_mm": one.instrument_mm,
-        "command_mm": one.command_mm,
-        "time_s": one.time_s,
-        "motor_mm": one.motor_mm,
-        "torque_percent": one.torque_percent,
-    }

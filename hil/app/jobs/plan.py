@@ -6,10 +6,16 @@ import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hil.axis.axis_file import AxisConfig
-from hil.machine.measure import Step
 from hil.records.journal import Campaign
+
+if TYPE_CHECKING:  # a script's names load without what measures
+    from hil.machine.measure import Step
+
+OF_PROCEDURE = "run-"
+"""Begin of the kind of a job, and of its campaigns, that carries out a user's procedure."""
 
 
 @dataclass(frozen=True)

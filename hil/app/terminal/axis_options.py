@@ -110,7 +110,8 @@ def print_plan(axis: AxisConfig, plan: Plan) -> None:
         print(f"axis {plan.axis} over {plan.backend}: would enable it, {homing}take the datum at {plan.datum_mm:g} mm")
         velocity = max(move.velocity_mm_s for move in plan.moves)
         print(f"would move between {reach[0]:.3f} and {reach[1]:.3f} mm (corrections come on top) at {velocity:g} mm/s")
-        print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each")
+        if plan.positions:
+            print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each")
         if plan.travel_s:
             print(f"would take some {plan.seconds / 60:.0f} min, without homing, settling and repeated rounds")
     for write in plan.writes:

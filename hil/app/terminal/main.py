@@ -41,6 +41,7 @@ VERBS = {
     "backlash": ("backlash.command_options", "lost motion from the servo's torque, without a position sensor"),
     "lost-motion": ("lost_motion.command_options", "lost motion after a reversal: measure, fit, store, prove"),
     "circle": ("lost_motion.circle.command_options", "two axes drive a circle: what lost motion does at the quadrants"),
+    "run": ("script.command_options", "a procedure of yours in one Python file: plan, rows as they come, resume"),
     "probe": ("probe.command_options", "a touch probe's run-out: measure, correct, centre a bore"),
     "params": (
         "parameters.commands.params_options",
@@ -120,6 +121,8 @@ def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
     verb = load_verb(argv)
     if verb is not None:
         verb.add_parser(subparsers)
+        if hasattr(verb, "add_options_of"):  # of a file that the command line names
+            verb.add_options_of(argv[1:], subparsers.choices[argv[0]])
     else:
         for name, (_, text) in VERBS.items():
             subparsers.add_parser(name, help=text)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import BridgeError, InputError, LocalError
+from hil.app.jobs.plan import OF_PROCEDURE
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.zero import zero_keeper
 from hil.calibration.explore import Exploration
@@ -41,7 +42,7 @@ class Unfinished:
 
 
 def find_unfinished(args: argparse.Namespace) -> Unfinished | None:
-    """The campaign that the verb of this command line, one of `VERBS`, would resume, or refuse to; None for none."""
+    """The campaign that the verb of this command line would resume, or refuse to; None for none."""
     replay = getattr(args, "replay", None)
     try:
         axis = load_axis(args.axis)
@@ -105,7 +106,8 @@ def state_of(campaign: FoundCampaign) -> str:
     if (campaign.directory / DISCARDED).exists():
         return "discarded"
     rows = any(one.records is not None for one in campaign.passes)
-    return "unfinished" if rows and campaign.kind in (*VERBS, REPLAY, DENSE) else ""
+    resumed = campaign.kind in (*VERBS, REPLAY, DENSE) or campaign.kind.startswith(OF_PROCEDURE)
+    return "unfinished" if rows and resumed else ""
 
 
 @dataclass(frozen=True)

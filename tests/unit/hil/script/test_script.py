@@ -20,7 +20,6 @@ import hil
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from hil.app.terminal.main import main
-from hil.examples import creep
 from hil.records.rows import read_csv
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space
@@ -342,12 +341,3 @@ def test_an_import_loads_what_is_used(path: Path, use: str, unused: set[str]) ->
 
 def test_the_page_of_the_names_is_as_they_are() -> None:
     assert api_page.PAGE.read_text(encoding="utf-8") == api_page.text(), "python tests/study/api_page.py writes it"
-
-
-def test_creep_after_a_stop_becomes_rows_that_the_diagnosis_takes(path: Path, tmp_path: Path) -> None:
-    assert creep.main(str(path), str(tmp_path / "creep.csv")) == 0
-    rows = read_csv(tmp_path / "creep.csv")
-    assert rows.runs == [1, 2, 3, 4, 5]
-    assert set(rows.direction[rows.run == 2]) == {-1.0}
-    assert main(["diagnose", str(tmp_path / "creep.csv"), "--json", str(tmp_path / "found.json")]) in (0, 1)
-    assert "findings" in json.loads((tmp_path / "found.json").read_text())

@@ -1,0 +1,55 @@
+"""`hil run`: a user's own procedure."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+from drivers.errors import InputError
+from hil.app.terminal.axis_options import print_plan
+from hil.app.terminal.options import READING
+from hil.app.terminal.output import from_here, print_facts, write_json
+from hil.app.terminal.passwords import password
+from hil.app.terminal.progress import terminal_progress
+from hil.axis.axis_file import AxisConfig, load_axis
+from hil.script.axis import open_axis
+from hil.script.procedure import Procedure, values_of
+from hil.script.procedure_file import made_from
+from hil.script.procedure_job import procedure_plan
+
+
+def run(args: argparse.Namespace) -> int:
+    """Returns 0. Raises InputError for a wrong file, and what the procedure and the axis raise."""
+    if args.procedure_class is None:
+        raise InputError("expected a file that ends in .py", path=args.procedure)
+    procedure, axis = made_from(args.procedure_class, args), load_axis(args.axis)
+    if args.dry_run:
+        print_facts(_parameters(procedure))
+        print_plan(axis, procedure_plan(procedure, axis))
+        return 0
+    reading = _reading_password(args, axis) if args.corrected else None
+    with terminal_progress() as listener, open_axis(args.axis, password=reading, on_event=listener) as opened:
+        result = opened.run(
+            procedure,
+            corrected=args.corrected,
+            resume=args.resume,
+            new_zero=args.new_zero,
+            instrument_zeroed=args.instrument_zeroed,
+        )
+    print(result.sentence)
+    print_facts({"rows": from_here(result.path)})
+    if args.report:
+        result.report(args.report)
+    if args.json:
+        write_json(args.json, result.form())
+    return 0
+
+
+def _parameters(procedure: Procedure) -> dict[str, str]:
+    """The procedure and its parameters, name -> text."""
+    given = {name: str(value).strip("[]") for name, value in values_of(procedure).items()}
+    return {"procedure": type(procedure).__name__, **given}
+
+
+def _reading_password(args: argparse.Namespace, axis: AxisConfig) -> str:
+    return password(args.password_file, READING, "reading password", os.environ, usual=axis.store.password_file)

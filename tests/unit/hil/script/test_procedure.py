@@ -1,0 +1,234 @@
+"""A user's own procedure in one file, by `hil run`, by `axis.run` and on the screen's desk."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import bench_axis
+
+import hil
+from drivers.drive import DriveState
+from hil.app.desk.desk import Desk
+from hil.app.terminal.main import main
+from hil.axis.axis_file import load_axis
+from hil.examples import creep
+from hil.records.rows import read_csv
+from hil.script.procedure_job import procedure_job
+
+HEAD = """\
+from collections.abc import Iterator
+import hil
+
+class Steps(hil.Procedure):
+    places_mm: tuple[float, ...] = (40.0, 60.0, 30.0)
+    readings: int = 3
+
+    def plan(self, axis: hil.Axis) -> Iterator[hil.Move]:
+        yield hil.Move("measure", 25.0, 80.0, 100.0)
+
+    def run(self, axis: hil.Axis) -> Iterator[hil.Row]:
+        for run, place_mm in enumerate(self.places_mm, start=1):
+            axis.move_to(place_mm)
+            for number in range(self.readings):
+                yield axis.read().row(run)
+"""
+LINE_OF_MOVE, LINE_OF_YIELD, LINE_OF_PLAN = 13, 15, 8
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    bench_axis.lay_out(tmp_path)
+    (tmp_path / "steps.py").write_text(HEAD)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def rows_of(folder: Path, name: str = "steps") -> Path:
+    return folder / f"X-campaign/run-{name}-001/{name}.csv"
+
+
+def test_creep_after_a_stop_becomes_rows_that_the_diagnosis_takes(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(creep.__file__, "creep.py")
+    words = ["run", "creep.py", "axis.toml", "--watch-s", "4", "--targets_mm", "100,20,60"]
+    assert main([*words, "--dry-run"]) == 0
+    assert "would move between 19.2" in (said := capsys.readouterr().out)
+    assert "100.000 mm" in said
+    assert not (folder / "X-campaign").exists()
+    assert main([*words, "--json", "creep.json", "--report", "creep.html"]) == 0
+    rows = read_csv(rows_of(folder, "creep"))
+    assert list(np.unique(rows.run)) == [1, 2, 3]
+    assert set(rows.direction[rows.run == 2]) == {-1.0}
+    assert {"time_s", "motor_mm", "air_temp_c", "temp_screw_c"} <= set(rows.columns)
+    result = json.loads(Path("creep.json").read_text())
+    assert (result["rows"], result["parameters"]["watch_s"]) == (len(rows), 4.0)
+    assert "Creep" in Path("creep.html").read_text(encoding="utf-8")
+    assert rows_of(folder, "creep").with_name("creep.py").read_bytes() == Path("creep.py").read_bytes()
+    assert main(["diagnose", str(rows_of(folder, "creep")), "--json", "found.json"]) in (0, 1)
+    assert "findings" in json.loads(Path("found.json").read_text())
+    capsys.readouterr()
+    assert main(["records", "list", "X-campaign"]) == 0
+    assert "run-creep-001" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        ("class Steps(hil.Procedure)", "class Steps", None, "holds no procedure"),
+        ("import hil\n", "import hil\nclass More(hil.Procedure): pass\n", 5, "holds More and Steps"),
+        ("def plan", "def plane", 4, "Steps has no plan()"),
+        ("readings: int = 3", "readings: list = [3]", None, "ValueError"),
+        ("readings: int = 3", "readings: complex = 3j", 6, "is of type complex"),
+        ("readings: int = 3", "readings: int = 'three'", 6, "is 'three', expected a whole number"),
+        ("readings: int = 3", "readings: 'Number' = 3", 4, "unknown type"),
+        ("class Steps(", "class Steps((", 4, "SyntaxError"),
+        ("25.0, 80.0, 100.0", "25.0, 900.0, 100.0", LINE_OF_PLAN, "outside the travel"),
+        ("25.0, 80.0, 100.0", "25.0, 80.0, 1e6", LINE_OF_PLAN, "at most 200 mm/s"),
+        ("25.0, 80.0, 100.0", "80.0, 25.0, 1.0", LINE_OF_PLAN, "low_mm ≤ high_mm"),
+        ("yield hil.Move", "return hil.Move", LINE_OF_PLAN, "TypeError"),
+        ("yield hil.Move(", "yield dict(what=1) or hil.Move(", LINE_OF_PLAN, "expected moves"),
+        ("25.0, 80.0,", "25.0, 80.0 / 0.0,", LINE_OF_PLAN + 1, "ZeroDivisionError"),
+    ],
+)
+def test_a_mistake_in_the_file_is_one_line_before_anything_moves(  # noqa: PLR0917
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: int | None, words: str
+) -> None:
+    (folder / "steps.py").write_text(HEAD.replace(old, new, 1))
+    assert main(["run", "steps.py", "axis.toml"]) == 2
+    said = capsys.readouterr().err
+    assert len(said.splitlines()) == 1
+    assert words in said
+    assert f"steps.py:{line}: " in said if line else "steps.py" in said
+    assert not list(folder.glob("X-campaign/run-*"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words", "status"),
+    [
+        ("axis.read().row(run)", "axis.read().row(run // 0)", LINE_OF_YIELD, "ZeroDivisionError", 2),
+        ("axis.read().row(run)", "axis.read()", LINE_OF_YIELD, "expected a row", 2),
+        ("axis.read().row(run)", "axis.read().row(-run)", LINE_OF_YIELD, "after one of run -1", 2),
+        (".row(run)", ".row(run) | ({'x': 1.0} if number else {})", LINE_OF_YIELD, "new column(s) x", 2),
+        (".row(run)", ".row(run) | ({'motor_mm': 'far'} if number else {})", LINE_OF_YIELD, "motor_mm", 2),
+        (".row(run)", ".row(run) | {'direction': 0.0}", LINE_OF_YIELD, "direction", 2),
+        ("range(self.readings)", "range(0)", 11, "yields no row", 2),
+        ("axis.move_to(place_mm)", "axis.home()", LINE_OF_MOVE, "is homed already", 2),
+        ("axis.move_to(place_mm)", "axis.verify(corrected=False)", LINE_OF_MOVE, "no other job", 2),
+        ("axis.move_to(place_mm)", "axis.parameters.backup()", LINE_OF_MOVE, "open it alone", 2),
+        ("axis.move_to(place_mm)", "axis.move_to(90.0)", LINE_OF_MOVE, "no move that plan() names", 1),
+        ("axis.move_to(place_mm)", "axis.move_to(40.0, 150.0)", LINE_OF_MOVE, "no move that plan() names", 1),
+        ("axis.move_to(place_mm)", "axis.stream([20.2, 19.0], 0.1)", LINE_OF_MOVE, "no move that plan() names", 1),
+    ],
+)
+def test_a_mistake_while_it_runs_names_its_line(  # noqa: PLR0917
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, line: int, words: str, status: int
+) -> None:
+    (folder / "steps.py").write_text(HEAD.replace(old, new, 1))
+    assert main(["run", "steps.py", "axis.toml"]) == status
+    said = capsys.readouterr().err.splitlines()
+    assert words in said[0]
+    assert f"steps.py:{line}" in said[0]
+    assert all(one.startswith("hil: go on with: hil run steps.py axis.toml") for one in said[1:])
+
+
+def test_a_wrong_value_on_the_command_line_names_its_option(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--readings", "3.5"], ["--places-mm", "20,nan"], ["--reading-s", "3"]):
+        with pytest.raises(SystemExit) as ended:
+            main(["run", "steps.py", "axis.toml", *words])
+        assert ended.value.code == 2
+        assert words[0] in capsys.readouterr().err
+    assert main(["run", "steps.txt", "axis.toml"]) == 2
+    assert main(["run", "gone.py", "axis.toml"]) == 2
+
+
+class Watched(hil.Procedure):
+    """Three runs of three readings. skips: passes over the runs that are on disk, else leaves that to the journal."""
+
+    skips: bool = True
+
+    def plan(self, axis: hil.Axis) -> Iterator[hil.Move]:
+        yield hil.Move("measure", 25.0, 80.0, 100.0)
+
+    def run(self, axis: hil.Axis) -> Iterator[hil.Row]:
+        for run, place_mm in enumerate((40.0, 60.0, 30.0), start=1):
+            axis.move_to(place_mm)
+            if self.skips and run < axis.first_run:
+                continue
+            for _ in range(3):
+                yield axis.read().row(run)
+
+
+def pressed(event: hil.Event) -> None:
+    if event.done == 5:
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("skips", [True, False])
+def test_ctrl_c_keeps_the_rows_and_the_broken_run_is_measured_again(folder: Path, skips: bool) -> None:
+    with pytest.raises(KeyboardInterrupt), hil.open("axis.toml", on_event=pressed) as axis:
+        axis.run(Watched(skips=skips))
+    with hil.open("axis.toml") as axis:
+        assert axis.read().state != DriveState.ENABLED.value
+        before = read_csv(rows_of(folder, "watched"))
+        assert list(before.run) == [1, 1, 1, 2, 2]
+        whole = axis.run(Watched(skips=skips), resume=True)
+    assert list(whole.rows["run"]) == [1, 1, 1, 2, 2, 2, 3, 3, 3]
+    assert list(whole.rows["time_s"][:3]) == list(before["time_s"][:3])
+    assert np.all(np.diff(whole.rows["time_s"]) > 0.0)
+    assert list(read_csv(whole.path).run) == list(whole.rows["run"])
+
+
+def test_a_resumed_procedure_goes_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = HEAD.replace(
+        "                yield", "                if run == 2 and number == 2: BREAK\n                yield"
+    )
+    (folder / "steps.py").write_text(lines.replace("BREAK", "raise KeyboardInterrupt"))
+    assert main(["run", "steps.py", "axis.toml", "--readings", "4"]) == 130
+    assert "go on with: hil run steps.py axis.toml --readings 4 --resume" in capsys.readouterr().err
+    kept = read_csv(rows_of(folder))
+    assert list(kept.run) == [1] * 4 + [2] * 2
+    (folder / "steps.py").write_text(lines.replace("BREAK", "raise ValueError"))
+    assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 2
+    assert main(["run", "steps.py", "axis.toml", "--readings", "5", "--resume"]) == 2
+    assert "readings was 4 and is 5" in capsys.readouterr().err
+    (folder / "steps.py").write_text(HEAD)  # mended
+    assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 0
+    whole = read_csv(rows_of(folder))
+    assert list(whole.run) == [1] * 4 + [2] * 4 + [3] * 4
+    assert list(whole.measured_mm[:4]) == list(kept.measured_mm[:4])
+    assert np.all(np.diff(whole["time_s"]) > 0.0)
+    assert len(list(folder.glob("X-campaign/run-*"))) == 1
+    assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 2
+    assert "nothing is left to go on with" in capsys.readouterr().err
+
+
+def test_with_the_stored_correction_in_force(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in bench_axis.PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    with hil.open("axis.toml") as axis:
+        axis.calibrate(targets_mm=[20.0, 60.0, 100.0], dwell_s=0.1, reading_s=0.1)
+        bare, corrected = (axis.run(Watched(), corrected=one) for one in (False, True))
+    assert np.all(bare.rows["command_mm"] == bare.rows["target_mm"])
+    assert np.all(corrected.rows["command_mm"] != corrected.rows["target_mm"])
+    assert "Watched of X: 9 rows in 3 run(s)" in repr(corrected)
+
+
+def test_the_desk_of_the_screen_carries_it_out(folder: Path) -> None:
+    axis = load_axis("axis.toml")
+    job = procedure_job(axis, Watched())
+    assert job.plan.reach_mm == pytest.approx((axis.measurement.reference_mm - 1.0, 80.0))
+    with Desk(axis, pace=0.0) as desk:
+        deadline = time.monotonic() + 30.0
+        while not desk.live.connected and time.monotonic() < deadline:
+            time.sleep(0.01)
+        desk.run(desk.take_control("me"), job)
+        while (shown := desk.job()) is not None and shown.running and time.monotonic() < deadline:
+            time.sleep(0.01)
+    assert len(read_csv(rows_of(folder, "watched"))) == 9
