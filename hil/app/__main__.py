@@ -11,7 +11,7 @@ def run() -> int:
     ours = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # false for a process that ignores it
     if ours:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    from hil.app.terminal.main import main  # noqa: PLC0415  (a Ctrl-C ends this import too)
+    from hil.app.main import main  # noqa: PLC0415  (a Ctrl-C ends this import too)
 
     def loaded() -> None:
         if ours:

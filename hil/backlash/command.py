@@ -7,9 +7,6 @@ import sys
 
 from drivers.drive import ServoDrive
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import open_store, tell_bench
-from hil.app.terminal.output import number, print_facts, print_table, times, write_json
-from hil.app.terminal.progress import telling_notes, terminal_progress
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.axis.backlash import BacklashConfig
 from hil.backlash.documents import facts, form, report_html, verdict
@@ -26,6 +23,9 @@ from hil.backlash.job import (
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.machine.wiring import connected_drive
+from hil.ui.terminal.axis_options import open_store, tell_bench
+from hil.ui.terminal.output import number, print_facts, print_table, times, write_json
+from hil.ui.terminal.progress import telling_notes, terminal_progress
 
 
 def run(args: argparse.Namespace) -> int:

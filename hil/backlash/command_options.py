@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import math
 
-from hil.app.terminal.options import Later, add_axis_arguments, add_password_options
 from hil.axis.backlash import FEEDS, METHODS, REVERSALS
+from hil.ui.terminal.options import Later, add_axis_arguments, add_password_options
 
 EXAMPLE = """\
 example:

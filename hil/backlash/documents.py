@@ -5,13 +5,13 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Any
 
-from hil.app.jobs.identity import drive_in_words
 from hil.axis.axis_file import DriveAxis
 from hil.backlash.job import MeasuredBacklash
 from hil.backlash.neutral_settings import BacklashSettings
 from hil.backlash.procedure import TorqueBacklash
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um, reversal_json
 from hil.backlash.settings import NoSetting
+from hil.desk.identity import drive_in_words
 
 
 def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:

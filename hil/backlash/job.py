@@ -21,8 +21,6 @@ import numpy as np
 from drivers.drive import ServoDrive
 from drivers.errors import InputError, StateError
 from drivers.files import read_text, replace_file
-from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
 from hil.axis.zero import made_with_keeper
@@ -34,6 +32,8 @@ from hil.backlash.trace import ReversalTrace
 from hil.calibration.job import enter_backlash
 from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import SingleTable
+from hil.desk.job import Job, Workplace
+from hil.desk.plan import Move, Plan, Write
 from hil.machine.events import Listener, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.records.files import parse_json

@@ -10,13 +10,13 @@ from functools import partial
 from nicegui import ui
 
 from drivers.errors import StateError
-from hil.app.panel.pieces import Check, Reading, draw_ready, draw_where, lead
-from hil.app.panel.plots import JobPlot
-from hil.app.panel.view import View
 from hil.axis.backlash import BacklashConfig
 from hil.backlash import job as backlash
 from hil.backlash.job import CompensationState
 from hil.backlash.page_data import backlash_screen, kept_backlash
+from hil.ui.screen.pieces import Check, Reading, draw_ready, draw_where, lead
+from hil.ui.screen.plots import JobPlot
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 

@@ -9,8 +9,6 @@ from datetime import datetime
 
 from drivers.errors import InputError
 from drivers.files import decode_log, read_bytes
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase, Progress
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import REVERSALS
 from hil.backlash import job as backlash
@@ -18,6 +16,8 @@ from hil.backlash.documents import verdict
 from hil.backlash.job import CompensationState, MeasuredBacklash
 from hil.backlash.result import NAMES, Reversal, mean_um
 from hil.backlash.trace import read_trace
+from hil.desk.desk import Desk
+from hil.desk.progress import Phase, Progress
 from hil.records.files import parse_json, split_lines
 
 

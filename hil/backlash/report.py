@@ -13,10 +13,10 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hil.app.report import markup
-from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.backlash.result import BOTH, NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
+from hil.ui.report import markup
+from hil.ui.report.markup import header, page, tile
+from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,6 @@ import numpy as np
 
 from drivers.errors import CapabilityError, InputError, StateError, UnprovenError
 from drivers.files import replace_file
-from hil.app.jobs.figures import error_figures
-from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.plan import Move, Plan, Write, going_on, measuring_plan
-from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.calibration.calibrate import Calibration, as_stored, calibrate
 from hil.calibration.spacing import KIND as DENSE
@@ -37,6 +33,10 @@ from hil.correction.tables import (
     judge,
     section_means,
 )
+from hil.desk.figures import error_figures
+from hil.desk.job import Job, Workplace, tell_unchecked
+from hil.desk.plan import Move, Plan, Write, going_on, measuring_plan
+from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.figures.history import purpose_of_replay
 from hil.machine.axes_wiring import connected_across
 from hil.machine.events import Event, Listener, silent

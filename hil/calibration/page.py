@@ -10,20 +10,6 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app.desk.progress import Progress
-from hil.app.panel.pieces import (
-    Check,
-    Reading,
-    Steps,
-    draw_ready,
-    draw_where,
-    lead,
-    measured_checks,
-)
-from hil.app.panel.plots import JobPlot
-from hil.app.panel.unfinished import GoOn, draw_unfinished
-from hil.app.panel.view import View
-from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import (
@@ -39,7 +25,21 @@ from hil.calibration.job import (
 from hil.calibration.page_data import CalibrationScreen, Resumable, calibration_screen
 from hil.calibration.pages.result import draw_accuracy, draw_band, draw_curves, draw_figures
 from hil.calibration.pages.typed_tables import TypedTables, across_axis, across_of, asking
+from hil.desk.progress import Progress
 from hil.figures.verdict import Decision
+from hil.ui.screen.pieces import (
+    Check,
+    Reading,
+    Steps,
+    draw_ready,
+    draw_where,
+    lead,
+    measured_checks,
+)
+from hil.ui.screen.plots import JobPlot
+from hil.ui.screen.unfinished import GoOn, draw_unfinished
+from hil.ui.screen.view import View
+from hil.ui.screen.zero_switches import ZeroSwitches
 
 Refresh = Callable[[], None]
 NEXT = ("reports", "diagnosis")

@@ -6,13 +6,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hil.app.jobs.identity import identity
-from hil.app.report.data import NamedCampaign, ReportData, TableInForce
-from hil.app.report.document import render_html
 from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.calibration.calibrate import Calibration
 from hil.calibration.job import Verification
 from hil.correction.tables import Band, TableSet
+from hil.desk.identity import identity
+from hil.ui.report.data import NamedCampaign, ReportData, TableInForce
+from hil.ui.report.document import render_html
 
 
 def calibration_report(axis: AxisConfig, result: Calibration, proof: Verification | None = None) -> str:

@@ -10,9 +10,6 @@ from typing import Any
 import numpy as np
 
 from drivers.files import replace_file
-from hil.app.report.data import NamedCampaign
-from hil.app.report.views import View, finding_view, position_view
-from hil.app.terminal.records_input import read_parts
 from hil.axis.axis_file import AxisConfig
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import FollowUp, diagnosed
@@ -21,6 +18,9 @@ from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.stored import sources
 from hil.effects.user_effects import attributing_errors, catalogue_with
 from hil.records.rows import Floats, Records
+from hil.ui.report.data import NamedCampaign
+from hil.ui.report.views import View, finding_view, position_view
+from hil.ui.terminal.records_input import read_parts
 
 MOST_POINTS = 1200
 """Most points of one plotted curve."""

@@ -9,17 +9,17 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app.desk.campaigns import Measurement
-from hil.app.jobs import worker_process as aside
-from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Reading, Table, Tabs, measurement_words
-from hil.app.panel.view import View
-from hil.app.report.job import Wanted
+from hil.app import worker_process as aside
 from hil.axis.axis_file import AxisConfig
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
 from hil.diagnosis.loop.page import draw_loop
 from hil.diagnosis.page_data import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
 from hil.diagnosis.pages.sentences import parameter, sentence
+from hil.report.job import Wanted
+from hil.ui.screen.campaigns import Measurement
+from hil.ui.screen.drawings import Curve, Drawing, Options, curves
+from hil.ui.screen.pieces import Reading, Table, Tabs, measurement_words
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 Kept = Reading[DiagnosisScreen]

@@ -8,14 +8,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hil.app.desk.campaigns import Measurement, measurements
-from hil.app.report.views import estimate_of, label_of, list_of, object_of, objects_of, value_of
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion_settings import InMotion
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.stored import can_be_held_out, read_stored, sources
+from hil.ui.report.views import estimate_of, label_of, list_of, object_of, objects_of, value_of
+from hil.ui.screen.campaigns import Measurement, measurements
 
 Points = tuple[tuple[float, float], ...]
 SIGNS = {1: "+", -1: "−"}

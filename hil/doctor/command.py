@@ -11,9 +11,6 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout
-from hil.app.terminal.measuring_options import passes_of
-from hil.app.terminal.output import print_table, write_json
-from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.latency import ENOUGH_S, measure_latency
 from hil.doctor.procedure import Check, doctor, reach_mm
@@ -22,6 +19,9 @@ from hil.machine.machine import Machine
 from hil.machine.who_is_there import naming_who_is_there
 from hil.machine.wiring import connected, connected_registers
 from hil.records.journal import Campaign
+from hil.ui.terminal.measuring_options import passes_of
+from hil.ui.terminal.output import print_table, write_json
+from hil.ui.terminal.progress import terminal_progress
 
 
 def run(args: argparse.Namespace) -> int:

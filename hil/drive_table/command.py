@@ -11,10 +11,6 @@ from typing import Any
 from drivers.correction_table import TableDescription
 from drivers.drive import ServoDrive
 from drivers.errors import CapabilityError
-from hil.app.terminal.axis_options import load_stored, open_store, tell_bench
-from hil.app.terminal.options import add_axis_arguments, add_password_options, positive, seed
-from hil.app.terminal.output import number, print_facts, print_table, write_json
-from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
 from hil.axis.zero import made_with_keeper, zero_keeper
 from hil.correction.compensation import Compensation
@@ -50,6 +46,10 @@ from hil.machine.wiring import connected, connected_drive, described_table, pred
 from hil.records.journal import Campaign
 from hil.records.made_with import MadeWith, MadeWithError
 from hil.records.zero import read_zero
+from hil.ui.terminal.axis_options import load_stored, open_store, tell_bench
+from hil.ui.terminal.options import add_axis_arguments, add_password_options, positive, seed
+from hil.ui.terminal.output import number, print_facts, print_table, write_json
+from hil.ui.terminal.progress import terminal_progress
 
 
 def description_facts(found: TableDescription) -> dict[str, str]:

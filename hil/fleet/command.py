@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import Align, print_facts, print_table, write_json
+from hil.ui.terminal.output import Align, print_facts, print_table, write_json
 
 if TYPE_CHECKING:  # an extra
     from hil.fleet.index import State

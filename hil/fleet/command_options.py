@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from hil.app.terminal.options import Later, add_json_option
+from hil.ui.terminal.options import Later, add_json_option
 
 EXAMPLE = """\
 example:

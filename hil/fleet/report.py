@@ -12,10 +12,6 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import FigureBase
 from matplotlib.ticker import MaxNLocator
 
-from hil.app.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragraph, Span, Table, said
-from hil.app.report.document import html
-from hil.app.report.markup import header, page, significant
-from hil.app.report.svg import RC, Ground, Theme, figure_on, label_axes
 from hil.fleet.ageing import Aged, Compared, FleetTrend
 from hil.fleet.causes import Cause, counted
 from hil.fleet.values import QUANTITIES
@@ -29,6 +25,10 @@ from hil.fleet.words import (
     compare_rule,
     trend_row,
 )
+from hil.ui.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragraph, Span, Table, said
+from hil.ui.report.document import html
+from hil.ui.report.markup import header, page, significant
+from hil.ui.report.svg import RC, Ground, Theme, figure_on, label_axes
 
 MOST_DRAWN = 12
 """Most series that are drawn on a page of trends."""

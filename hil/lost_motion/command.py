@@ -8,11 +8,6 @@ import sys
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import load_stored, open_store, tell_zero
-from hil.app.terminal.measuring_options import machine_of
-from hil.app.terminal.output import number, print_facts, print_table, times, write_json
-from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.records_input import read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
@@ -29,6 +24,11 @@ from hil.lost_motion.job import (
     sentences,
 )
 from hil.lost_motion.procedure import NoLostMotionError
+from hil.ui.terminal.axis_options import load_stored, open_store, tell_zero
+from hil.ui.terminal.measuring_options import machine_of
+from hil.ui.terminal.output import number, print_facts, print_table, times, write_json
+from hil.ui.terminal.progress import terminal_progress
+from hil.ui.terminal.records_input import read_effects
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import argparse
 
 from drivers.errors import InputError
-from hil.app.terminal.options import (
+from hil.correction.published_rise import TwoTanh
+from hil.correction.rise import RUNNABLE, Rise, rise_of
+from hil.ui.terminal.options import (
     Later,
     add_axis_arguments,
     add_effects_option,
@@ -13,8 +15,6 @@ from hil.app.terminal.options import (
     add_zero_options,
     seed,
 )
-from hil.correction.published_rise import TwoTanh
-from hil.correction.rise import RUNNABLE, Rise, rise_of
 
 EXAMPLE = """\
 example:

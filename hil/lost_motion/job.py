@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import StateError
-from hil.app.jobs.identity import drive_in_words
-from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.plan import Move, Plan, Write, going_on
-from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import Rise, Shape
 from hil.correction.store import SealedStore, bound_tables, compensation_in_force
+from hil.desk.identity import drive_in_words
+from hil.desk.job import Job, Workplace, tell_unchecked
+from hil.desk.plan import Move, Plan, Write, going_on
+from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, separately_determined
 from hil.lost_motion.procedure import (

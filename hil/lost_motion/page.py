@@ -9,12 +9,6 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
-from hil.app.panel.plots import JobPlot
-from hil.app.panel.unfinished import GoOn, draw_unfinished
-from hil.app.panel.view import View
-from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
@@ -29,6 +23,12 @@ from hil.lost_motion.page_data import (
 )
 from hil.lost_motion.procedure import rms
 from hil.records.rows import UM_PER_MM
+from hil.ui.screen.drawings import Curve, Drawing, Options, curves
+from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
+from hil.ui.screen.plots import JobPlot
+from hil.ui.screen.unfinished import GoOn, draw_unfinished
+from hil.ui.screen.view import View
+from hil.ui.screen.zero_switches import ZeroSwitches
 
 Refresh = Callable[[], None]
 

@@ -12,10 +12,9 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import read_text
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase, Progress
-from hil.app.report.views import object_of, value_of
 from hil.axis.axis_file import DriveAxis
+from hil.desk.desk import Desk
+from hil.desk.progress import Phase, Progress
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.at_load import load_mm
 from hil.lost_motion.circle import job as circle
@@ -26,6 +25,7 @@ from hil.lost_motion.job import MeasuredLostMotion
 from hil.lost_motion.procedure import Proof
 from hil.records.files import parse_json
 from hil.records.rows import UM_PER_MM, Floats
+from hil.ui.report.views import object_of, value_of
 
 Points = list[tuple[float, float]]
 FIT_POINTS, BEGINNING = 160, 3.0

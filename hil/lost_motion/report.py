@@ -10,13 +10,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.app.report import markup
-from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.effects.history import LONG_STROKE_MM
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
 from hil.lost_motion.published import BesidePublished
 from hil.records.rows import Floats, Records
+from hil.ui.report import markup
+from hil.ui.report.markup import header, page, tile
+from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
 NAMES = {1: "− → +", -1: "+ → −"}
 

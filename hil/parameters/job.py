@@ -15,12 +15,12 @@ from pathlib import Path
 from drivers.clock import Waiting
 from drivers.errors import InputError, StateError
 from drivers.files import encoding_of, read_bytes, replace_file
-from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.plan import Plan, Write
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import object_key
 from hil.correction.sealed import check_detached, load_public_key
 from hil.correction.store import bound_tables
+from hil.desk.job import Job, Workplace
+from hil.desk.plan import Plan, Write
 from hil.machine.events import Event
 from hil.parameters.compare import Comparison, compare
 from hil.parameters.download import Target, download

@@ -10,10 +10,8 @@ from pathlib import Path
 from nicegui import events, ui
 
 from drivers.errors import InputError
-from hil.app.jobs.job import Job
-from hil.app.panel.pieces import Reading, Table, Tabs, show_share
-from hil.app.panel.view import View
 from hil.axis.axis_file import DriveAxis
+from hil.desk.job import Job
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
 from hil.parameters.job import LARGEST_BYTES, backed_up_at, keep_set, require_size, set_files
@@ -24,6 +22,8 @@ from hil.parameters.page_data import ParametersScreen, parameters_screen
 from hil.parameters.pages.all_parameters import AllParameters
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.wiring import journal_of
+from hil.ui.screen.pieces import Reading, Table, Tabs, show_share
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 COLUMNS = ("address", "name", "held", "wanted", "unit", "outcome")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Progress
+from hil.desk.desk import Desk
+from hil.desk.progress import Progress
 from hil.parameters import job as parameters
 from hil.parameters.listing import Listing
 from hil.parameters.outcome import Outcome, outcome_of

@@ -10,10 +10,6 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.options import KEY, READING
-from hil.app.terminal.output import print_facts, print_table, times, write_json
-from hil.app.terminal.passwords import password
-from hil.app.terminal.progress import terminal_progress
 from hil.machine.events import Listener
 from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
@@ -21,6 +17,10 @@ from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasu
 from hil.probe.runout import CorrectionCode, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
 from hil.probe.wiring import before_feature
+from hil.ui.terminal.options import KEY, READING
+from hil.ui.terminal.output import print_facts, print_table, times, write_json
+from hil.ui.terminal.passwords import password
+from hil.ui.terminal.progress import terminal_progress
 from sim_backends.plant.touch_probe import Bore, Boss, Solid, Wall
 from sim_backends.probe_bench import ProbeBench
 

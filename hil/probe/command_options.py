@@ -6,8 +6,8 @@ import argparse
 import math
 from collections.abc import Callable
 
-from hil.app.terminal.options import KEY, READING, Later, add_json_option
 from hil.probe.machine_file import MODES
+from hil.ui.terminal.options import KEY, READING, Later, add_json_option
 
 EXAMPLE = """\
 example:

@@ -11,9 +11,9 @@ from datetime import UTC, datetime, timedelta
 
 from drivers.clock import NS_PER_S, Clock, Waiting, WallClock
 from drivers.drive import ServoDrive
-from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.plan import Move, Plan, Write
 from hil.correction.sealed import load_private_key, load_public_key
+from hil.desk.job import Job, Workplace
+from hil.desk.plan import Move, Plan, Write
 from hil.machine.events import Listener, silent
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.procedure import (

@@ -9,9 +9,6 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app.panel.drawings import Drawing
-from hil.app.panel.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
-from hil.app.panel.view import View
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import MODES
@@ -33,6 +30,9 @@ from hil.probe.pages.history import draw_history
 from hil.probe.pages.spindle_drawing import around_the_spindle
 from hil.probe.runout import RunOut
 from hil.records.rows import UM_PER_MM
+from hil.ui.screen.drawings import Drawing
+from hil.ui.screen.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 
 from drivers.errors import InputError
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Progress
+from hil.desk.desk import Desk
+from hil.desk.progress import Progress
 from hil.machine.events import Measured
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut

@@ -13,10 +13,10 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from hil.app.report import markup
-from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.probe.runout import ANGLES_DEG, Centring, FourFeeds, RunOut, mean_feeds
+from hil.ui.report import markup
+from hil.ui.report.markup import header, page, tile
+from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
 TIMES_SHOWN = 200
 """Most measurements that are plotted, the latest."""

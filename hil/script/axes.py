@@ -26,7 +26,7 @@ def open_axes(
     if len(measured) < len(files):
         name = next(one.name for one in files if not isinstance(one, AxisConfig))
         raise CapabilityError(f"axis {name} has no instrument: several axes are opened with one each")
-    from hil.app.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
+    from hil.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
     from hil.machine.axes_wiring import connected_axes  # noqa: PLC0415
 
     with connected_axes(measured) as machines:

@@ -31,11 +31,11 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     import canopen
 
     from drivers.instrument import Reading
-    from hil.app.desk.axis_thread import Connection
-    from hil.app.jobs.job import Job, Workplace
-    from hil.app.jobs.plan import Move
-    from hil.app.jobs.zero_statement import ZeroStatement
     from hil.correction.store import SealedStore
+    from hil.desk.axis_thread import Connection
+    from hil.desk.job import Job, Workplace
+    from hil.desk.plan import Move
+    from hil.desk.zero_statement import ZeroStatement
     from hil.machine.session import AxisSession
     from hil.machine.supervisor import Supervisor
     from hil.script.parameters import Parameters
@@ -120,7 +120,7 @@ class Axis:
         self._connection = None
 
     def _connect(self) -> None:
-        from hil.app.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
+        from hil.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
         from hil.machine.supervisor import Supervisor  # noqa: PLC0415
         from hil.machine.watched_axis import WatchedAxis  # noqa: PLC0415
         from hil.machine.who_is_there import naming_who_is_there  # noqa: PLC0415
@@ -508,7 +508,7 @@ class Axis:
             yield
 
     def _place(self, drive: ServoDrive | None, session: AxisSession | None, store: SealedStore | None) -> Workplace:
-        from hil.app.jobs.job import Workplace  # noqa: PLC0415  (drivers load slowly)
+        from hil.desk.job import Workplace  # noqa: PLC0415  (drivers load slowly)
 
         unseen = lambda _name, _drive, _session: None  # noqa: E731
         return Workplace(self.file, drive, session, self._listener, self._tell, store, RealTime(), unseen)
@@ -524,6 +524,6 @@ def _folder(axis: AxisConfig, kind: str) -> Path | None:
 
 
 def _stated(new_zero: bool, instrument_zeroed: bool) -> ZeroStatement:
-    from hil.app.jobs.zero_statement import ZeroStatement  # noqa: PLC0415  (drivers load slowly)
+    from hil.desk.zero_statement import ZeroStatement  # noqa: PLC0415  (drivers load slowly)
 
     return ZeroStatement(new_zero, instrument_zeroed)

@@ -6,16 +6,16 @@ import argparse
 import os
 
 from drivers.errors import InputError
-from hil.app.terminal.axis_options import print_plan
-from hil.app.terminal.options import READING
-from hil.app.terminal.output import from_here, print_facts, write_json
-from hil.app.terminal.passwords import password
-from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.script.axis import open_axis
 from hil.script.procedure import Procedure, values_of
 from hil.script.procedure_file import made_from
 from hil.script.procedure_job import procedure_plan
+from hil.ui.terminal.axis_options import print_plan
+from hil.ui.terminal.options import READING
+from hil.ui.terminal.output import from_here, print_facts, write_json
+from hil.ui.terminal.passwords import password
+from hil.ui.terminal.progress import terminal_progress
 
 
 def run(args: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
-from hil.app.terminal.options import READING, Later, add_axis_arguments, add_zero_options
+from hil.ui.terminal.options import READING, Later, add_axis_arguments, add_zero_options
 
 EXAMPLE = """\
 example:

@@ -77,11 +77,11 @@ class Passwords:
         self._reading, self._key = reading, key
 
     def store(self, axis: AxisConfig, *, writing: bool) -> SealedStore:
-        """The axis's store. Raises as `hil.app.terminal.passwords.password` and `SealedStore.of`."""
-        from hil.app.terminal.axis_options import has_tables  # noqa: PLC0415  (cryptography loads slowly)
-        from hil.app.terminal.options import KEY, READING  # noqa: PLC0415
-        from hil.app.terminal.passwords import password  # noqa: PLC0415
+        """The axis's store. Raises as `hil.ui.terminal.passwords.password` and `SealedStore.of`."""
         from hil.correction.store import SealedStore  # noqa: PLC0415
+        from hil.ui.terminal.axis_options import has_tables  # noqa: PLC0415  (cryptography loads slowly)
+        from hil.ui.terminal.options import KEY, READING  # noqa: PLC0415
+        from hil.ui.terminal.passwords import password  # noqa: PLC0415
 
         key, reading, usual = self._key, self._reading, axis.store
         if writing and key is None:

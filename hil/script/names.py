@@ -18,8 +18,8 @@ from drivers.errors import (
     StateError,
     UnprovenError,
 )
-from hil.app.jobs.plan import Move
 from hil.correction.sealed.errors import SealedError, WrongPasswordError
+from hil.desk.plan import Move
 from hil.machine.events import Event
 from hil.records.made_with import MadeWithError
 from hil.records.zero import ZeroError

@@ -11,7 +11,7 @@ from hil.script.results import ParameterComparison, ParameterWriting
 
 if TYPE_CHECKING:
     from drivers.parameters import ParameterValue
-    from hil.app.jobs.job import Job
+    from hil.desk.job import Job
     from hil.parameters.set_file import ParameterSet
 
     Wanted = str | Path | Mapping[str, ParameterValue]

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, dataclass_transform
 
 from drivers.errors import BridgeError, InputError
-from hil.app.jobs.plan import OF_PROCEDURE, Move
+from hil.desk.plan import OF_PROCEDURE, Move
 
 if TYPE_CHECKING:
     from hil.script.axis import Axis

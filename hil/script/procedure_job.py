@@ -13,12 +13,12 @@ from typing import Any
 from drivers.clock import NS_PER_S
 from drivers.errors import InputError
 from drivers.files import read_text
-from hil.app.desk.axis_thread import Connection
-from hil.app.jobs.job import Job, Workplace, tell_unchecked
-from hil.app.jobs.plan import OF_PROCEDURE, Move, Plan, Write
-from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import compensation_in_force
+from hil.desk.axis_thread import Connection
+from hil.desk.job import Job, Workplace, tell_unchecked
+from hil.desk.plan import OF_PROCEDURE, Move, Plan, Write
+from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.machine.events import Event, Listener, silent
 from hil.records.journal import FINISHED, Campaign, RowJournal
 from hil.records.rows import Records, parse_csv

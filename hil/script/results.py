@@ -47,7 +47,7 @@ class ErrorFigures:
     @classmethod
     def of(cls, records: Records) -> ErrorFigures:
         """The figures of these rows."""
-        from hil.app.jobs.figures import error_figures  # noqa: PLC0415  (loads slowly)
+        from hil.desk.figures import error_figures  # noqa: PLC0415  (loads slowly)
 
         return cls(**error_figures(records))
 
@@ -98,7 +98,7 @@ class Result(ABC):
         rows = self._certified()
         if rows is None:
             raise CapabilityError(f"a {type(self).__name__} is not certified: verify() is")
-        from hil.app.terminal.main import build_parser  # noqa: PLC0415  (plots are slow to import)
+        from hil.app.main import build_parser  # noqa: PLC0415  (plots are slow to import)
 
         words = ["report", str(rows), "--axis-file", str(self.axis.path), "--certificate", str(path)]
         arguments = build_parser(words).parse_args(words)
@@ -131,10 +131,10 @@ class MeasuredResult(Result):
 
     def _repr_html_(self) -> str:
         """The sentence and the plot of the errors, for a notebook."""
-        from hil.app.report.data import NamedCampaign  # noqa: PLC0415  (plots are slow to import)
-        from hil.app.report.markup import text  # noqa: PLC0415
-        from hil.app.report.plots import error_plot  # noqa: PLC0415
-        from hil.app.report.svg import LIGHT, file_bytes  # noqa: PLC0415
+        from hil.ui.report.data import NamedCampaign  # noqa: PLC0415  (plots are slow to import)
+        from hil.ui.report.markup import text  # noqa: PLC0415
+        from hil.ui.report.plots import error_plot  # noqa: PLC0415
+        from hil.ui.report.svg import LIGHT, file_bytes  # noqa: PLC0415
 
         svg = file_bytes(error_plot(NamedCampaign(self.axis.name, self.records), LIGHT), "svg").decode()
         return f"<p>{text(self.sentence)}</p>{svg[svg.index('<svg') :]}"
@@ -487,11 +487,11 @@ class ProcedureResult(MeasuredResult):
         return {**told, "good": self.good, "records": str(self.path), "runs": self.raw.runs, **vars(self.figures)}
 
     def _page(self) -> str:
-        from hil.app.jobs.identity import identity  # noqa: PLC0415  (plots are slow to import)
-        from hil.app.report.data import NamedCampaign, ReportData  # noqa: PLC0415
-        from hil.app.report.document import render_html  # noqa: PLC0415
         from hil.axis.axis_file import uncertainty_of  # noqa: PLC0415
+        from hil.desk.identity import identity  # noqa: PLC0415  (plots are slow to import)
         from hil.records.journal import name_of  # noqa: PLC0415
+        from hil.ui.report.data import NamedCampaign, ReportData  # noqa: PLC0415
+        from hil.ui.report.document import render_html  # noqa: PLC0415
 
         given = {name: str(value) for name, value in self.parameters.items()}
         rows = NamedCampaign(self.name, self.raw, source=name_of(self.path))

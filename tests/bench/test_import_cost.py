@@ -10,12 +10,12 @@ from statistics import median
 import pytest
 from support.bench import Record, installed, median_ratio, row
 
-from hil.app.terminal.main import VERBS
+from hil.app.main import VERBS
 
 HEAVY = ("numpy", "scipy", "matplotlib", "can", "canopen", "pymodbus", "cryptography", "rich", "nicegui", "msgspec")
 TIMES = 3
 LOOK = (
-    "import sys; from hil.app.terminal.main import build_parser\n"
+    "import sys; from hil.app.main import build_parser\n"
     "build_parser(sys.argv[1:])\n"
     f"print(len(sys.modules), *(name for name in {HEAVY} if name in sys.modules))"
 )

@@ -25,8 +25,8 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
-from hil.app.desk.stop import StoppedByOperator
 from hil.backlash.neutral_settings import NotRestoredError
+from hil.desk.stop import StoppedByOperator
 from sim_backends.canopen_profile import Defect
 
 # settings that nobody takes back from us are named with the file that `--restore` puts back

@@ -31,7 +31,7 @@ import hil.probe.wiring
 from drivers.clock import Waiting
 from drivers.errors import DriveFaultError
 from drivers.modbus.wire import PymodbusWire
-from hil.app.desk.stop import StoppedByOperator
+from hil.desk.stop import StoppedByOperator
 from hil.machine.supervisor import Supervisor
 from hil.records.journal import RowJournal
 from sim_backends.bench import Bench

@@ -14,7 +14,7 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
-from hil.app.desk.stop import StoppedByOperator
+from hil.desk.stop import StoppedByOperator
 from sim_backends.faults import Fault, FaultKind
 
 COUNTS_PER_MM = 100_000.0

@@ -22,7 +22,7 @@ from hostile.places import VERBS, Place
 
 import hil.machine.bench_modbus
 import hil.probe.wiring
-from hil.app.desk.stop import Pacing, Stop
+from hil.desk.stop import Pacing, Stop
 from sim_backends.bench import Bench
 
 BOUND_S = 0.020

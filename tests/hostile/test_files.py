@@ -24,8 +24,7 @@ from drivers.instruments.replay import MOST_LINES, Recording
 from drivers.instruments.values import BadLine, Value
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import shipped_maps
-from hil.app.terminal.main import main
-from hil.app.terminal.passwords import read_password_file
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.formats import wide_iso
 from hil.correction.manual import read_manual_tables
@@ -41,6 +40,7 @@ from hil.records.journal import read_purpose
 from hil.records.made_with import read_made_with
 from hil.records.rows import parse_csv, read_csv
 from hil.records.zero import read_zero
+from hil.ui.terminal.passwords import read_password_file
 
 PASSWORD = "a long enough password"
 QUICK_S = 0.5

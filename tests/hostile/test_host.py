@@ -25,7 +25,7 @@ from support.bench_axis import PASSWORDS
 import hil.correction.sealed.sealing
 import hil.records.journal
 import hil.records.zero
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.sealed import Cost, check, new_key, save_private_key, save_public_key, seal
 from hil.figures.history import merge, read_campaign
 

@@ -16,8 +16,8 @@ import pytest
 from support import bench_axis
 
 from drivers.errors import LinkLostError
-from hil.app.terminal import main as command_line
-from hil.app.terminal.main import main
+from hil.app import main as command_line
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.store import SealedStore
 from hil.correction.tables import TableSet

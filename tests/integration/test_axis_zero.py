@@ -18,13 +18,13 @@ from support import bench_axis
 import hil.machine.bench_wiring
 from drivers.drive import DriveState
 from drivers.errors import ProtocolError
-from hil.app.jobs.zero_statement import ZeroStatement
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import AxisConfig, HomingConfig, load_axis
 from hil.calibration.explore import Exploration
 from hil.calibration.job import run_calibration, run_verification
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore
+from hil.desk.zero_statement import ZeroStatement
 from hil.diagnosis.loop.job import run_loop
 from hil.diagnosis.loop.procedure import Turning
 from hil.doctor.procedure import doctor

@@ -17,7 +17,7 @@ from support.backlash_axis import QUICK, lay_out
 
 from drivers.canopen.drive import CanOpenDrive
 from drivers.errors import LinkLostError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_drive_axis
 from hil.backlash.job import backlash_config
 from hil.backlash.settings import ObjectSetting, backlash_settings

@@ -9,20 +9,18 @@ from pathlib import Path
 import pytest
 from support.bench_axis import PASSWORDS, lay_out
 
-from hil.app.desk.campaigns import measurements, reports
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase, Progress
-from hil.app.desk.roles import LockedError
-from hil.app.jobs import worker_process as aside
-from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.plan import Move
-from hil.app.report.job import Wanted
+from hil.app import worker_process as aside
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import job as calibrate
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion_settings import feeds_of
 from hil.calibration.job import CALIBRATE
 from hil.calibration.page_data import calibration_screen
+from hil.desk.desk import Desk
+from hil.desk.job import Job, Workplace
+from hil.desk.plan import Move
+from hil.desk.progress import Phase, Progress
+from hil.desk.roles import LockedError
 from hil.diagnosis.loop.job import loop_job
 from hil.diagnosis.loop.jobs.plan import Looped, passes_at
 from hil.diagnosis.loop.jobs.stored import STAGES, StoredLoop, stored_loop
@@ -30,6 +28,8 @@ from hil.diagnosis.loop.procedure import Turning
 from hil.diagnosis.page_data import diagnosis_screen
 from hil.machine.events import Event, Point
 from hil.records.rows import read_csv
+from hil.report.job import Wanted
+from hil.ui.screen.campaigns import measurements, reports
 
 pytestmark = pytest.mark.outside
 Until = Callable[[Callable[[], bool], str], None]

@@ -11,7 +11,7 @@ from study.next_study import standard_test, written
 from study.planned_machine import PlannedMachine
 from support import bench_axis
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.explore import explore
 from hil.diagnosis import fit_model

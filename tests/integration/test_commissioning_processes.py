@@ -22,7 +22,7 @@ from support.commissioning import PATIENT, Job, kept, look, prepare, rows_of, wa
 from support.sim_process import SimProcess, sim
 
 import hil
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.machine.interrupts import ENDED, INTERRUPTED, STOP_WITHIN_S
 
 pytestmark = pytest.mark.outside

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from support.places import SHARED_DATA
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.records.rows import Records, to_csv
 
 HALF_WAVE_MM = 632.9908e-6 / 2.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.places import SHARED_DATA as SHARED
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.records.rows import Records, read_csv, to_csv
 
 

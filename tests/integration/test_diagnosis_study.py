@@ -15,7 +15,7 @@ from study.grammar.machine import LOTS, draw
 from study.own_catalogue import Case, run
 from study.truth_machines import DYNAMIC
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.effects import ALL, Action
 from hil.effects.model import Model
 from hil.records.rows import Records, read_csv, to_csv

@@ -31,7 +31,7 @@ from drivers.canopen.settings import HomingSettings
 from drivers.cia402.modes import Mode
 from drivers.drive import Capability, DriveLimits, DriveState, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, InputError, ProtocolError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.machine.supervisor import homing_time_s
 from sim_backends.canopen_profile import Defect
 from sim_backends.canopen_quirks import ProfiledSlave

@@ -19,7 +19,7 @@ from drivers.modbus.map_facts import FactLedger
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import find_map, shipped_maps
 from drivers.scaling import AxisScaling, motion_unit
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.doctor.procedure import doctor
 from hil.machine.axis_lock import modbus_endpoint

@@ -13,7 +13,7 @@ import pytest
 from support import bench_axis
 from support.backlash_axis import QUICK
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.job import enter_backlash, entering_job
 from hil.correction.store import SealedStore

@@ -33,7 +33,7 @@ KNOWN = ("--travel=-10,300", "--max-velocity", "100", "--max-acceleration", "500
 def hil(*words: str, status: int = 0) -> str:
     """What a verb says on both outputs; its exit status is as expected."""
     done = subprocess.run(
-        [sys.executable, "-m", "hil.app.terminal.main", *words],
+        [sys.executable, "-m", "hil.app.main", *words],
         capture_output=True,
         text=True,
         timeout=300,

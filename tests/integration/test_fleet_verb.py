@@ -16,7 +16,7 @@ from support.bench_axis import PASSWORDS
 from support.fleet import rows, write_campaign
 from support.two_axes import lay_out_axes
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.fleet.index import read_table
 
 BEGUN = datetime(2025, 1, 6, 8, tzinfo=UTC)

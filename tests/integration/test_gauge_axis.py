@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.bench_axis import lay_out
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.machine.measure import bidirectional_steps, measure
 from hil.machine.wiring import connected

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from support import bench_axis
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.in_motion import measure_in_motion, plan_passes
 from hil.calibration.in_motion_settings import InMotion

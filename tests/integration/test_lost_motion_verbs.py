@@ -16,7 +16,7 @@ import pytest
 from support.bench_axis import PASSWORDS
 from support.two_axes import lay_out_axes
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import TANH, Rise, rise_of

@@ -10,7 +10,7 @@ import pytest
 from support.bench_axis import PASSWORDS, lay_out
 
 from drivers.errors import InputError, StateError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.figures.history import REPLAY, find_campaigns, history
 from hil.machine.measure import Step, bidirectional_steps, measure

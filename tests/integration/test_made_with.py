@@ -15,7 +15,7 @@ from support.sim_process import SimProcess
 
 from drivers.clock import WallClock
 from drivers.errors import LinkLostError, StateError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.backlash import job as backlash
 from hil.correction.sealed import check

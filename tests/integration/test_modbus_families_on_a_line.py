@@ -9,7 +9,7 @@ from study.modbus_families import FEED_MM, LIMITS, exercise
 from support.maker_drives import FAMILIES, LichuanA6, served_on_a_line
 
 from drivers.modbus.map_loader import load_drive_map
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.machine.axis_lock import modbus_endpoint
 from sim_backends.clock import SimClock

@@ -24,7 +24,7 @@ from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.wire import PymodbusWire, Request
-from hil.app.terminal.main import main
+from hil.app.main import main
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 
 pytestmark = pytest.mark.outside

@@ -12,7 +12,7 @@ from study.unexplained import outcomes, summary
 from support import bench_axis
 
 from drivers.errors import StateError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.store import SealedStore

@@ -18,7 +18,7 @@ import pypdfium2
 import pytest
 from support.bench_axis import CERTIFICATE, PASSWORDS, lay_out
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.page_data import calibration_screen
 

@@ -12,7 +12,7 @@ import sim_backends.virtual_drive
 from drivers.drive import DriveLimits
 from drivers.errors import StateError
 from drivers.set_points import SetPointSettings
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.compensation import Compensation
 from hil.correction.tables import TableSet
 from hil.doctor.procedure import doctor

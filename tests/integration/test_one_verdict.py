@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.explore import Exploration, explore, plan_runs
 from hil.diagnosis.job import diagnose_passes

@@ -16,8 +16,8 @@ from support.panel import Person
 from support.screenshots import DEFECTS, OUT_OF_SIGHT, PALE, at_rest, foreign_fonts, settled
 from support.two_axes import lay_out_axes
 
-from hil.app.panel.texts import load
 from hil.records.rows import to_csv
+from hil.ui.screen.texts import load
 
 pytestmark = [
     pytest.mark.outside,

@@ -16,10 +16,10 @@ from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.clock import WallClock
 from drivers.errors import CapabilityError, InputError, StateError
 from drivers.raw_parameters import DriveIdentity
-from hil.app.desk.progress import Phase, Progress
-from hil.app.desk.stop import StoppedByOperator
-from hil.app.jobs.job import Job, Workplace
 from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.desk.job import Job, Workplace
+from hil.desk.progress import Phase, Progress
+from hil.desk.stop import StoppedByOperator
 from hil.machine.axis_lock import held_axis
 from hil.machine.events import Event
 from hil.parameters import job as parameters

@@ -18,7 +18,7 @@ from drivers.canopen.pdo import pdo_of
 from drivers.canopen.whole_pdo import Block
 from drivers.clock import WallClock
 from drivers.errors import InputError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_drive_axis
 from hil.machine.canopen_wiring import canopen_drive
 from hil.parameters.compare import compare

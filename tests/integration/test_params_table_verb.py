@@ -14,7 +14,7 @@ import hil.drive_table.command
 import hil.examples.drive_table
 import sim_backends.virtual_drive
 from drivers.correction_table import RawTable
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import AxisConfig
 from hil.drive_table.change import Snapshot, remembered_zero, zero_note
 from hil.records.zero import Zero, read_zero, write_zero

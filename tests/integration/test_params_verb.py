@@ -20,7 +20,7 @@ from support.modbus_parameters import NEW, OLD, FortyFace, write_map
 from support.sim_process import SimProcess
 
 from drivers.clock import WallClock
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.sealed import new_key, save_public_key, sign_detached
 from hil.parameters.commands import jobs
 from hil.parameters.set_file import SetEntry, read_set, write_set
@@ -256,7 +256,7 @@ def test_a_drive_in_a_process_of_its_own(
     command = [
         sys.executable,
         "-m",
-        "hil.app.terminal.main",
+        "hil.app.main",
         "params",
         "download",
         str(canopen_axis),

@@ -19,7 +19,7 @@ from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.wiring import control_wires
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft

@@ -13,15 +13,14 @@ import pytest
 from support import probe_files
 
 import hil.probe.job
-from hil.app.desk.axis_thread import AxisThread
-from hil.app.desk.control import NotInControlError
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import JobLog, Phase, Progress
-from hil.app.desk.roles import LockedError
-from hil.app.jobs.job import Job
-from hil.app.panel.texts import Texts
 from hil.axis.axis_file import load_drive_axis
 from hil.correction.sealed import Cost, WrongPasswordError, new_key, save_private_key, save_public_key
+from hil.desk.axis_thread import AxisThread
+from hil.desk.control import NotInControlError
+from hil.desk.desk import Desk
+from hil.desk.job import Job
+from hil.desk.progress import JobLog, Phase, Progress
+from hil.desk.roles import LockedError
 from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.page_data import (
@@ -39,6 +38,7 @@ from hil.probe.page_data import (
 )
 from hil.probe.runout import CorrectionCode
 from hil.records.files import held
+from hil.ui.screen.texts import Texts
 from sim_backends.plant.touch_probe import Bore, Boss
 from sim_backends.probe_bench import ProbeBench
 

@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from support import probe_files
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 
 QUICK = "touch_mm_s = 20.0\nposition_mm_s = 50.0"

@@ -13,8 +13,8 @@ import pytest
 from support.sim_process import sim
 
 from drivers.clock import WallClock
-from hil.app.terminal.main import main
-from hil.machine.commands.scan import parse_ids
+from hil.app.main import main
+from hil.files.scan import parse_ids
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import served
 from sim_backends.modbus_cia402 import Cia402Registers

@@ -13,7 +13,7 @@ from support.sim_process import sim
 from drivers.clock import WallClock
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 
 pytestmark = pytest.mark.outside

@@ -19,7 +19,7 @@ from support.two_axes import lay_out_bent
 from drivers.drive import DriveState
 from drivers.errors import BridgeError, CorrectionBoundError, DriveFaultError, LimitError, StateError
 from drivers.set_points import SetPointSettings
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.straightness import straightness_of
 from hil.correction.compensation import Compensation

@@ -16,7 +16,7 @@ from support.commissioning import prepare, wait_for
 from support.sim_process import sim
 from support.table_axis import store
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hil.examples.coolant_level as example
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.records.rows import Records, read_csv, to_csv
 
 OWN = Path(example.__file__)

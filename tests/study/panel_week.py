@@ -3,8 +3,8 @@
     python tests/study/panel_week.py                    7 days, about 5 minutes
     python tests/study/panel_week.py --days 0.5
 
-States go through the board (`hil.app.desk.live`), whose clock is a simulated one, and a reader that looks twice a second
-takes the new points of the plots, as a page does. Events go through the log on disk (`hil.app.desk.event_log`), some
+States go through the board (`hil.desk.live`), whose clock is a simulated one, and a reader that looks twice a second
+takes the new points of the plots, as a page does. Events go through the log on disk (`hil.desk.event_log`), some
 7,000 a day, which is replaced by a new file several times; once a day it is opened anew, as after a restart. Accounted
 for: every point is read once and in order, events are numbered without a gap, alarms that nobody acknowledged stand,
 memory and files stay bounded.
@@ -27,8 +27,8 @@ if not __package__:
 from study.endurance import resident_mb
 
 from drivers.drive import DriveState
-from hil.app.desk.event_log import EVENTS, MOST_BYTES, EventLog, Kind
-from hil.app.desk.live import RATE_HZ, Board, Live
+from hil.desk.event_log import EVENTS, MOST_BYTES, EventLog, Kind
+from hil.desk.live import RATE_HZ, Board, Live
 
 DAY_S = 86_400.0
 LOOK_EVERY = 10

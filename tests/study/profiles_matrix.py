@@ -25,10 +25,10 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.scan import scan
 from drivers.canopen.settings import HomingSettings
 from drivers.drive import DriveState
-from hil.app.terminal import progress
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 from hil.machine import bench_canopen
+from hil.ui.terminal import progress
 from sim_backends.bench import BenchParameters
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.canopen_quirks import ProfiledSlave, machine_objects, profile_counts

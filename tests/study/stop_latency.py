@@ -41,7 +41,7 @@ from drivers.modbus.ports import Check
 from drivers.modbus.wire import PymodbusWire, Request
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from hil.app.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.desk.stop import Pacing, Stop, StoppedByOperator
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import served
 from sim_backends.modbus_cia402 import Cia402Registers

@@ -14,7 +14,7 @@ from typing import Any
 
 from support.bench_axis import PASSWORDS
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 from hil.records.rows import Records, read_csv
 
@@ -87,7 +87,7 @@ class Job:
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hil.app.terminal.main", *arguments],
+            [sys.executable, "-m", "hil.app.main", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,

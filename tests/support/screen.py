@@ -9,10 +9,10 @@ from typing import Any
 from nicegui import Client, core, ui
 from nicegui.page import page
 
-from hil.app.desk.desk import Desk
-from hil.app.panel.browsers import Browser
-from hil.app.panel.texts import Texts
-from hil.app.panel.view import View
+from hil.desk.desk import Desk
+from hil.ui.screen.browsers import Browser
+from hil.ui.screen.texts import Texts
+from hil.ui.screen.view import View
 
 Draw = Callable[[View], object]
 

@@ -22,7 +22,7 @@ class SimProcess:
 
     def __init__(self, *arguments: str) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "hil.app.terminal.main", "sim", *arguments],
+            [sys.executable, "-m", "hil.app.main", "sim", *arguments],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             start_new_session=True,

@@ -12,8 +12,8 @@ import pytest
 from study import axis_reference
 from support.docs import PAGES, ROOT, blocks, hil_lines
 
-from hil.app.terminal.help import pages
-from hil.app.terminal.main import VERBS, build_parser, main
+from hil.app.help import pages
+from hil.app.main import VERBS, build_parser, main
 from hil.axis.axis_file import load_drive_axis
 
 KINDS = {"sh", "text", "toml", "python", ""}

@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 from nicegui import run, ui
 
-from hil.app.panel.pieces import Reading
-from hil.app.panel.view import View
+from hil.ui.screen.pieces import Reading
+from hil.ui.screen.view import View
 
 
 class Desk:

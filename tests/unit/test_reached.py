@@ -38,7 +38,7 @@ EXCEPTIONS = {
     "drivers.modbus.map_loader.load_register_map": "tests of the registers alone, without a drive",
     "drivers.modbus.plan.WireCost.gap_tolerance": "tests hold the plan against it",
     "drivers.toml_schema.keys_of": "tests/study/axis_reference.py writes a page with it",
-    "hil.app.report.dcc.schema_errors": "the extra dcc",
+    "hil.report.dcc.schema_errors": "the extra dcc",
     "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
     "hil.correction.sealed.sealing.read_sealed": "the face of the sealed format",
     "hil.correction.sealed.sealing.write_sealed": "the face of the sealed format",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.app.terminal.main import build_parser
+from hil.app.main import build_parser
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -13,9 +13,9 @@ from drivers import files as outside_files
 from drivers import toml_schema
 from drivers.canopen import eds, eds_text
 from drivers.instruments import ascii_values, nd2xx, umd
-from hil.app.terminal import passwords
 from hil.correction.sealed import container, keys
 from hil.records import files
+from hil.ui.terminal import passwords
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "hil/docs/security.md").read_text(encoding="utf-8")

@@ -18,9 +18,7 @@ from drivers.errors import InputError
 from drivers.instruments.replay import Recording
 from drivers.modbus.map_loader import load_register_map
 from drivers.modbus.wear import WearLedger
-from hil.app.terminal.main import main
-from hil.app.terminal.passwords import read_password_file
-from hil.app.terminal.records_input import read_model
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.manual import read_backlash, read_manual_tables, read_signs, read_straightness
 from hil.correction.sealed.keys import load_public_key, new_key
@@ -29,6 +27,8 @@ from hil.effects.model import Model, PitchTable
 from hil.effects.user_effects import effects_of_file
 from hil.parameters.formats import read_any
 from hil.records.rows import read_csv
+from hil.ui.terminal.passwords import read_password_file
+from hil.ui.terminal.records_input import read_model
 
 ROOT = Path(__file__).parents[2]
 ROWS = "run,direction,target_mm,measured_mm\n1,+1,0.0,0.001\n1,+1,10.0,10.002\n1,-1,10.0,10.001\n1,-1,0.0,0.0\n"

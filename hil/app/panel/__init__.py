@@ -1,4 +1,4 @@
-"""The operator's screen: pages in a browser that show the state of `hil.app.desk` and call it. They contain no logic.
+"""The operator's screen: pages in a browser that show the state of `hil.desk` and call it. They contain no logic.
 
 How a page is added
 
@@ -18,9 +18,9 @@ How a page is added
    within 1366 × 768; instructions and what is rarely needed are folded (`view.how`, `view.fold`). What is written is asked with its
    old and new value: `changes=[view.change(name, old, new, unit)]`.
 4. The page is listed in `hil/app/panel/pages/__init__.py`.
-5. Its texts go to `texts/en.toml`, `de.toml` and `zh.toml`, the same keys in each: `[<page>]` for its own, and a line in `[page]`
-   (title), `[job]` (kind of the job, blanks as _), `[plan.move]` and `[plan.write]` (what the plan moves and writes), `[said]`
-   (patterns of its procedures' messages).
+5. Its texts go to `en.toml`, `de.toml` and `zh.toml` in `hil/ui/screen/texts`, the same keys in each: `[<page>]` for its own, and a
+   line in `[page]` (title), `[job]` (kind of the job, blanks as _), `[plan.move]` and `[plan.write]` (what the plan moves and writes),
+   `[said]` (patterns of its procedures' messages).
 
 Other parts of the server are fields of the view (`view.probe`, the machine with a touch probe).
 

@@ -9,14 +9,14 @@ from functools import partial
 from nicegui import ui
 
 from drivers.drive import DriveState
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase, Progress
-from hil.app.desk.roles import Role
-from hil.app.desk.unfinished import UnfinishedWork, unfinished_work
 from hil.app.panel.events import draw_events
-from hil.app.panel.pieces import Reading, ask_for_builder, show_share, take_control
-from hil.app.panel.texts import LANGUAGES, Texts
-from hil.app.panel.view import View
+from hil.desk.desk import Desk
+from hil.desk.progress import Phase, Progress
+from hil.desk.roles import Role
+from hil.desk.unfinished import UnfinishedWork, unfinished_work
+from hil.ui.screen.pieces import Reading, ask_for_builder, show_share, take_control
+from hil.ui.screen.texts import LANGUAGES, Texts
+from hil.ui.screen.view import View
 
 S_PER_MIN, S_PER_H = 60, 3600
 CHINESE, FALL_BACK = "zh", "en"

@@ -14,9 +14,9 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.passwords import read_password_file
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.probe.machine_file import load_probe_machine
+from hil.ui.terminal.passwords import read_password_file
 
 EXAMPLE = """\
 example:
@@ -99,7 +99,7 @@ def run(args: argparse.Namespace) -> int:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "uvicorn", "starlette"):
             raise
         raise InputError("the screen needs the panel extra: pip install 'hil[panel]'") from error
-    from hil.app.desk.desk import Desk  # noqa: PLC0415
+    from hil.desk.desk import Desk  # noqa: PLC0415
 
     access = server.Access(args.bind, args.port, tls, token, tuple(args.name))
     with server.bound(access) as listening, ExitStack() as stack:

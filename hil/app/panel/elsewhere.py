@@ -14,8 +14,8 @@ import nicegui
 import socketio  # type: ignore[import-untyped]
 from fastapi.responses import HTMLResponse
 
-from hil.app.error_log import ErrorLog
-from hil.app.panel.texts import Texts
+from hil.desk.error_log import ErrorLog
+from hil.ui.screen.texts import Texts
 
 STATIC = "/hil-static"
 _OURS = Path(__file__).parents[2]

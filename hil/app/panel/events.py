@@ -8,9 +8,9 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app.desk.desk import Desk
-from hil.app.desk.event_log import Entry, Kind
-from hil.app.panel.view import View
+from hil.desk.desk import Desk
+from hil.desk.event_log import Entry, Kind
+from hil.ui.screen.view import View
 
 FILTERS = ("all", "alarm", "job", "write")
 SIGNS = {

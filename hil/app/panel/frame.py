@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from nicegui import ui
 
 from drivers.instrument import ReadingStatus
-from hil.app.desk.desk import Desk
 from hil.app.panel.bar import Page, draw_bar, draw_rail
 from hil.app.panel.events import draw_alarm
 from hil.app.panel.question import draw_question
-from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
+from hil.desk.desk import Desk
+from hil.ui.screen.view import View
 
 
 def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:

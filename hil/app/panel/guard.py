@@ -17,8 +17,8 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
-from hil.app.desk.backoff import BackOff
-from hil.app.panel.browsers import COOKIE, Cookies
+from hil.desk.backoff import BackOff
+from hil.ui.screen.browsers import COOKIE, Cookies
 
 Message = MutableMapping[str, Any]
 Scope = MutableMapping[str, Any]

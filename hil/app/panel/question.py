@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from nicegui import ui
 
-from hil.app.desk.asking import Pending
-from hil.app.panel.view import View
+from hil.desk.asking import Pending
+from hil.ui.screen.view import View
 
 S_PER_MIN = 60.0
 

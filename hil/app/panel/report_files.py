@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from fastapi import FastAPI
 from fastapi.responses import FileResponse, PlainTextResponse, Response
 
-from hil.app.desk.desk import Desk
-from hil.app.report.job import FOLDER, NAME
+from hil.desk.desk import Desk
+from hil.report.job import FOLDER, NAME
 
 ALONE = {"Content-Security-Policy": "sandbox allow-scripts allow-modals", "X-Content-Type-Options": "nosniff"}
 """Headers that keep a report's page from the screen's cookies and from requests to the server."""

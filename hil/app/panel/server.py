@@ -19,16 +19,16 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import Client, ui
 from nicegui import app as nicegui_app
 
-from hil.app.desk.desk import Desk
-from hil.app.panel.browsers import COOKIE, Browsers
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Form, Guard
 from hil.app.panel.pages import PAGES
 from hil.app.panel.report_files import serve_reports
-from hil.app.panel.texts import Texts
-from hil.app.panel.view import View
+from hil.desk.desk import Desk
 from hil.probe.machine_file import ProbeMachineConfig
+from hil.ui.screen.browsers import COOKIE, Browsers
+from hil.ui.screen.texts import Texts
+from hil.ui.screen.view import View
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 _FORM = (

@@ -9,15 +9,6 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import open_store, print_plan, tell_zero
-from hil.app.terminal.measuring_options import limited, machine_of, recording_name
-from hil.app.terminal.options import (
-    KEY,
-)
-from hil.app.terminal.output import write_json
-from hil.app.terminal.passwords import password
-from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.summary import print_accuracy, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.calibrate import Calibration
 from hil.calibration.job import (
@@ -37,6 +28,15 @@ from hil.correction.manual import read_backlash, read_straightness
 from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet
 from hil.figures.verdict import Accuracy, At
+from hil.ui.terminal.axis_options import open_store, print_plan, tell_zero
+from hil.ui.terminal.measuring_options import limited, machine_of, recording_name
+from hil.ui.terminal.options import (
+    KEY,
+)
+from hil.ui.terminal.output import write_json
+from hil.ui.terminal.passwords import password
+from hil.ui.terminal.progress import terminal_progress
+from hil.ui.terminal.summary import print_accuracy, print_stages
 
 
 def run(args: argparse.Namespace) -> int:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from hil.app.terminal.axis_options import load_cross, load_stored, open_store, print_plan, tell_zero
-from hil.app.terminal.output import number, print_facts, print_table, write_json
-from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.records_input import read_effects
 from hil.axis.axis_file import load_axis
 from hil.calibration.job import run_straightness, straightness_plan
 from hil.machine.axes_wiring import connected_across
+from hil.ui.terminal.axis_options import load_cross, load_stored, open_store, print_plan, tell_zero
+from hil.ui.terminal.output import number, print_facts, print_table, write_json
+from hil.ui.terminal.progress import terminal_progress
+from hil.ui.terminal.records_input import read_effects
 
 
 def run(args: argparse.Namespace) -> int:

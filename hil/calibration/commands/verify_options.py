@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from hil.app.terminal.options import (
+from hil.ui.terminal.options import (
     Later,
     add_axis_arguments,
     add_effects_option,

@@ -9,13 +9,6 @@ from functools import partial
 from nicegui import ui
 
 from drivers.errors import InputError
-from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import (
-    Reading,
-    Table,
-    tables_written,
-)
-from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.job import (
     VERIFY,
@@ -24,6 +17,13 @@ from hil.calibration.page_data import SHOWN, STAGES, CalibrationScreen, Measured
 from hil.calibration.pages.typed_tables import TypedTables
 from hil.correction.tables import Band, SignedSections
 from hil.figures.verdict import Accuracy, Decision
+from hil.ui.screen.drawings import Curve, Drawing, Options, curves
+from hil.ui.screen.pieces import (
+    Reading,
+    Table,
+    tables_written,
+)
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]

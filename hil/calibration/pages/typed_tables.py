@@ -11,13 +11,6 @@ from nicegui import events, ui
 
 from drivers.errors import InputError
 from drivers.files import decode_text
-from hil.app.jobs.job import Job
-from hil.app.panel.pieces import (
-    Latest,
-    Reading,
-    Table,
-)
-from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import (
@@ -33,6 +26,13 @@ from hil.calibration.straightness import StraightnessResult
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_signs, read_straightness
 from hil.correction.tables import DirectionalTable, SignedSections, SingleTable
+from hil.desk.job import Job
+from hil.ui.screen.pieces import (
+    Latest,
+    Reading,
+    Table,
+)
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 TYPED, TYPED_STRAIGHTNESS = "typed-tables.csv", "typed-straightness.csv"

@@ -8,12 +8,12 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import print_facts, write_json
-from hil.app.terminal.records_input import read_effects, read_model, read_records
 from hil.effects.non_parametric import without_cause
 from hil.effects.user_effects import attributing_errors
 from hil.effects.warming import goes_beyond_what_was_seen, is_bounded
 from hil.records.rows import to_csv
+from hil.ui.terminal.output import print_facts, write_json
+from hil.ui.terminal.records_input import read_effects, read_model, read_records
 
 
 def run(args: argparse.Namespace) -> int:

@@ -9,8 +9,6 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import print_facts, print_table, write_json
-from hil.app.terminal.records_input import read_effects, read_records
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.diagnosis.loop.next_run import means_of_measurement
 from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign, repeats_of
@@ -18,6 +16,8 @@ from hil.diagnosis.next.design import design, plan_minutes
 from hil.diagnosis.next.planned_run import Means, Point
 from hil.diagnosis.next.plans import to_plan
 from hil.effects.user_effects import attributing_errors, check_on
+from hil.ui.terminal.output import print_facts, print_table, write_json
+from hil.ui.terminal.records_input import read_effects, read_records
 
 
 def run_design(args: argparse.Namespace) -> int:

@@ -6,14 +6,14 @@ import argparse
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import print_facts, print_table, write_json
-from hil.app.terminal.records_input import read_effects, read_model
 from hil.axis.axis_file import load_axis
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import diagnosed
 from hil.diagnosis.job import read_passes
 from hil.diagnosis.pictures import with_plots
 from hil.effects.user_effects import attributing_errors
+from hil.ui.terminal.output import print_facts, print_table, write_json
+from hil.ui.terminal.records_input import read_effects, read_model
 
 
 def run(args: argparse.Namespace) -> int:

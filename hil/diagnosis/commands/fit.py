@@ -8,10 +8,10 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.output import print_facts, write_json
-from hil.app.terminal.records_input import read_effects, read_records
 from hil.diagnosis.fitting import fit_model
 from hil.effects.user_effects import attributing_errors, check_on
+from hil.ui.terminal.output import print_facts, write_json
+from hil.ui.terminal.records_input import read_effects, read_records
 
 
 def run(args: argparse.Namespace) -> int:

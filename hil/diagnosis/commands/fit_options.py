@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from hil.app.terminal.options import Later, add_effects_option, add_json_option, add_records_argument
+from hil.ui.terminal.options import Later, add_effects_option, add_json_option, add_records_argument
 
 EXAMPLE = """\
 example:

@@ -8,12 +8,6 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import open_store, print_dry_run, tell_zero
-from hil.app.terminal.measuring_options import limited, machine_of, passes_of, recording_name
-from hil.app.terminal.output import write_json
-from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.records_input import read_effects
-from hil.app.terminal.summary import print_accuracy, print_findings, print_stages
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration, ExploringRun
 from hil.calibration.job import Verification, run_proof
@@ -27,6 +21,12 @@ from hil.effects.user_effects import attributing_errors
 from hil.figures.verdict import Accuracy
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
+from hil.ui.terminal.axis_options import open_store, print_dry_run, tell_zero
+from hil.ui.terminal.measuring_options import limited, machine_of, passes_of, recording_name
+from hil.ui.terminal.output import write_json
+from hil.ui.terminal.progress import terminal_progress
+from hil.ui.terminal.records_input import read_effects
+from hil.ui.terminal.summary import print_accuracy, print_findings, print_stages
 
 
 def run(args: argparse.Namespace) -> int:

@@ -8,13 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 from drivers.errors import StateError
-from hil.app.jobs.figures import error_figures
-from hil.app.jobs.job import Job, Question, Workplace, tell_unchecked
-from hil.app.jobs.plan import going_on
-from hil.app.jobs.zero_statement import NO_STATEMENT, ZeroStatement
-from hil.app.report.views import label_of
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import SealedStore
+from hil.desk.figures import error_figures
+from hil.desk.job import Job, Question, Workplace, tell_unchecked
+from hil.desk.plan import going_on
+from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.diagnosis.job import shown_diagnosis
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, Looped, loop_plan
 from hil.diagnosis.loop.jobs.stored import turn_is_good
@@ -26,6 +25,7 @@ from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.events import Listener, silent
 from hil.machine.machine import Machine
 from hil.records.journal import Campaign
+from hil.ui.report.views import label_of
 
 CONSENT_S, BRING_S = 600.0, 3600.0
 """Time limits of answers, s: to whether a run shall be made, and until a condition (load, optics …) is set."""

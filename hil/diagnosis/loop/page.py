@@ -6,17 +6,17 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
-from hil.app.panel.plots import JobPlot
-from hil.app.panel.unfinished import GoOn, draw_unfinished
-from hil.app.panel.view import View
-from hil.app.panel.zero_switches import ZeroSwitches
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion_settings import feeds_of
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at
 from hil.diagnosis.page_data import DiagnosisScreen
 from hil.diagnosis.stored import measurement_of
+from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
+from hil.ui.screen.plots import JobPlot
+from hil.ui.screen.unfinished import GoOn, draw_unfinished
+from hil.ui.screen.view import View
+from hil.ui.screen.zero_switches import ZeroSwitches
 
 Refresh = Callable[[], None]
 IN_MOTION = ("motion_before", "motion_diagnose", "motion_after")

@@ -5,9 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
-from hil.app.report.data import NamedCampaign
-from hil.app.report.document import before_after_image, render_html
-from hil.app.report.views import diagnosed
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.job import Verification
 from hil.calibration.report import of_axis, verified_campaign
@@ -15,6 +12,9 @@ from hil.diagnosis.loop.jobs.stored import STAGE_LABELS
 from hil.diagnosis.loop.procedure import Loop, Turn
 from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.report.diagnosis import opening
+from hil.ui.report.data import NamedCampaign
+from hil.ui.report.document import before_after_image, render_html
+from hil.ui.report.views import diagnosed
 
 BEFORE, AFTER = STAGE_LABELS["table, explored"], STAGE_LABELS["extended, explored"]
 """The pair that says what the loop reached: terminal, report and picture show it under these names."""

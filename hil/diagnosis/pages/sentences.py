@@ -11,8 +11,8 @@ from __future__ import annotations
 import re
 from string import Formatter
 
-from hil.app.panel.texts import Texts
 from hil.diagnosis.page_data import ShownFinding
+from hil.ui.screen.texts import Texts
 
 UNITS = {
     "_um_s2_per_mm2": "µm·s²/mm²",

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import FigureBase
 
-from hil.app.report import markup, plots
-from hil.app.report.blocks import (
+from hil.diagnosis.report import left_over
+from hil.figures.verdict import FITTED_PLUS_MINUS
+from hil.ui.report import markup, plots
+from hil.ui.report.blocks import (
     Block,
     Bullets,
     DataTable,
@@ -24,9 +26,9 @@ from hil.app.report.blocks import (
     Table,
     said,
 )
-from hil.app.report.data import NamedCampaign
-from hil.app.report.svg import Ground, Theme
-from hil.app.report.views import (
+from hil.ui.report.data import NamedCampaign
+from hil.ui.report.svg import Ground, Theme
+from hil.ui.report.views import (
     View,
     estimate_of,
     finding_view,
@@ -36,8 +38,6 @@ from hil.app.report.views import (
     position_view,
     value_of,
 )
-from hil.diagnosis.report import left_over
-from hil.figures.verdict import FITTED_PLUS_MINUS
 
 ACTIONS = {
     "compensate": "compensate in the machine",

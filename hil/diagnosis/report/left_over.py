@@ -17,13 +17,13 @@ from matplotlib.figure import FigureBase
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from hil.app.report.blocks import Block, DataTable, Drawing, Heading, said
-from hil.app.report.data import plain
-from hil.app.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
-from hil.app.report.views import label_of, list_of, object_of, objects_of, value_of
 from hil.diagnosis.report.mean_curves import MeanCurve, mean_curve
 from hil.diagnosis.report.spectrum import EXCEEDED, Spectrum, spectrum
 from hil.records.rows import Floats
+from hil.ui.report.blocks import Block, DataTable, Drawing, Heading, said
+from hil.ui.report.data import plain
+from hil.ui.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
+from hil.ui.report.views import label_of, list_of, object_of, objects_of, value_of
 
 ACROSS = 3
 ROW_IN, WIDTH_IN = 2.2, 9.6

@@ -5,17 +5,17 @@ from __future__ import annotations
 import argparse
 
 from drivers.files import replace_file
-from hil.app.terminal.axis_options import load_stored, open_store, tell_zero
-from hil.app.terminal.output import number, print_facts, print_table, write_json
-from hil.app.terminal.progress import terminal_progress
-from hil.app.terminal.records_input import read_effects
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import bound_tables
-from hil.figures.commands.iso230_4 import print_paths
+from hil.files.iso230_4 import print_paths
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, by_standard
 from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
 from hil.machine.axes_wiring import connected_axes
+from hil.ui.terminal.axis_options import load_stored, open_store, tell_zero
+from hil.ui.terminal.output import number, print_facts, print_table, write_json
+from hil.ui.terminal.progress import terminal_progress
+from hil.ui.terminal.records_input import read_effects
 
 MM_MIN = 60.0
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 
-from hil.app.terminal.options import Later, add_effects_option, add_json_option, add_password_options, add_zero_options
+from hil.ui.terminal.options import Later, add_effects_option, add_json_option, add_password_options, add_zero_options
 
 EXAMPLE = """\
 example:

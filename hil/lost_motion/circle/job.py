@@ -8,12 +8,12 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.app.jobs.identity import drive_in_words
-from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.plan import Move, Plan, Write
 from hil.axis.axis_file import AxisConfig
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, compensation_in_force
+from hil.desk.identity import drive_in_words
+from hil.desk.job import Job, Workplace
+from hil.desk.plan import Move, Plan, Write
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace, by_standard
 from hil.lost_motion.circle.procedure import APPROACH_MM_S, RUN_IN_MM, CircleRun, check_axes, drive_circle, prepare
 from hil.lost_motion.job import stored_now

@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.desk.desk import Desk
-from hil.app.panel.drawings import Drawing, around_a_circle
-from hil.app.panel.pieces import Latest, Table
-from hil.app.panel.view import View
 from hil.axis.axis_file import AxisConfig
+from hil.desk.desk import Desk
 from hil.lost_motion.circle import job as circle
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
 from hil.lost_motion.page_data import circle_curves, driven_circle
+from hil.ui.screen.drawings import Drawing, around_a_circle
+from hil.ui.screen.pieces import Latest, Table
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 RADIUS_MM, FEED_MM_MIN, S_PER_MIN = 10.0, 100.0, 60.0

@@ -10,10 +10,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.app.report import markup
-from hil.app.report.markup import header, page, tile
-from hil.app.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 from hil.lost_motion.circle.figures import AFTER_DEG, BEFORE_DEG, QUADRANTS_DEG, Trace, ring_of
+from hil.ui.report import markup
+from hil.ui.report.markup import header, page, tile
+from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
 _SHARE = 0.35
 """Share of the plotted radius that the largest deviation takes."""

@@ -9,8 +9,6 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.raw_parameters import WireTime
-from hil.app.terminal.axis_options import tell_bench
-from hil.app.terminal.output import Align, print_table, times, write_json
 from hil.axis.axis_file import DriveAxis
 from hil.parameters.commands.params import ask_person, load_axes, progress_bars, sets_of
 from hil.parameters.commands.params_options import add_job
@@ -32,6 +30,8 @@ from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.snapshot import Backup
 from hil.parameters.wiring import connected_parameters, unconnected_parameters
+from hil.ui.terminal.axis_options import tell_bench
+from hil.ui.terminal.output import Align, print_table, times, write_json
 
 
 def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:

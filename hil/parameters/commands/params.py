@@ -8,13 +8,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from drivers.errors import InputError
-from hil.app.terminal.output import times
-from hil.app.terminal.progress import terminal_progress
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.machine.events import Event
 from hil.parameters.job import load_set
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.tasks import Progress
+from hil.ui.terminal.output import times
+from hil.ui.terminal.progress import terminal_progress
 
 
 def load_axes(args: argparse.Namespace) -> list[DriveAxis]:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-from hil.app.terminal.options import add_json_option
+from hil.ui.terminal.options import add_json_option
 
 EXAMPLE = """\
 example:

@@ -7,12 +7,12 @@ from collections.abc import Awaitable, Callable
 from nicegui import ui
 
 from drivers.errors import InputError
-from hil.app.panel.pieces import Table
-from hil.app.panel.view import View
 from hil.parameters import job as parameters
 from hil.parameters.listing import ListedParameter, Listing, changed
 from hil.parameters.page_data import ParametersScreen, parameters_screen
 from hil.parameters.set_file import ParameterSet
+from hil.ui.screen.pieces import Table
+from hil.ui.screen.view import View
 
 COLUMNS = ("address", "name", "value", "unit", "access")
 Write = Callable[[ParameterSet], Awaitable[bool]]

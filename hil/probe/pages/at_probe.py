@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.app.desk.desk import Desk
-from hil.app.jobs.job import Job
-from hil.app.panel.view import View
+from hil.desk.desk import Desk
+from hil.desk.job import Job
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.page_data import last_at, lent, store_at
 from hil.probe.store import RunOutStore
+from hil.ui.screen.view import View
 
 
 @dataclass(frozen=True)

@@ -6,13 +6,13 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from hil.app.panel.pieces import Latest, Reading, Table
 from hil.probe import job as probe
 from hil.probe.page_data import ProbeRecord, centred_at, corrected_at, other_at
 from hil.probe.pages.at_probe import ProbePage
 from hil.probe.procedure import Correction
 from hil.probe.runout import CorrectionCode
 from hil.records.rows import UM_PER_MM
+from hil.ui.screen.pieces import Latest, Reading, Table
 
 Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]

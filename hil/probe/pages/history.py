@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Latest, Reading, Table
-from hil.app.panel.view import View
 from hil.probe.page_data import STORED, HistoryCurves, HistoryEntry, ProbeRecord, history_curves
+from hil.ui.screen.drawings import Curve, Drawing, Options, curves
+from hil.ui.screen.pieces import Latest, Reading, Table
+from hil.ui.screen.view import View
 
 WORDS = ("when", "mode", "verdict")
 FIGURES = ("x", "y", "radius", "closure")

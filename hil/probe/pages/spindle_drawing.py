@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.app.panel.drawings import Options, angle_axis
-from hil.app.panel.plots import FONT, PALETTES, inks, number_format, one_line_legend
-from hil.app.panel.view import View
 from hil.probe.page_data import BallPositions
+from hil.ui.screen.drawings import Options, angle_axis
+from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
+from hil.ui.screen.view import View
 
 REACH = 1.25
 """Radius of the plot, as a multiple of the outermost position."""

@@ -27,7 +27,7 @@ from study.grammar.twins import carriers
 from support.catalogue import NAMES
 from threadpoolctl import threadpool_limits
 
-from hil.app.terminal.main import main as hil
+from hil.app.main import main as hil
 from hil.records.rows import Records, read_csv, to_csv
 
 CONFIDENT = 0.9

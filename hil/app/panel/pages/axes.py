@@ -7,9 +7,9 @@ from operator import attrgetter
 
 from nicegui import ui
 
-from hil.app.desk.desk import Desk
-from hil.app.panel.plots import Channel, LiveChart
-from hil.app.panel.view import View
+from hil.desk.desk import Desk
+from hil.ui.screen.plots import Channel, LiveChart
+from hil.ui.screen.view import View
 
 
 def draw(view: View) -> None:

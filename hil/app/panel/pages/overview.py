@@ -10,11 +10,11 @@ from operator import attrgetter
 from nicegui import ui
 
 from drivers.drive import DriveState
-from hil.app.desk.live import Live
-from hil.app.panel.pieces import Reading, tables_written
-from hil.app.panel.plots import Channel, LiveChart
-from hil.app.panel.unfinished import draw_unfinished
-from hil.app.panel.view import Button, View
+from hil.desk.live import Live
+from hil.ui.screen.pieces import Reading, tables_written
+from hil.ui.screen.plots import Channel, LiveChart
+from hil.ui.screen.unfinished import draw_unfinished
+from hil.ui.screen.view import Button, View
 
 Refresh = Callable[[], None]
 

@@ -8,14 +8,14 @@ from typing import Any
 
 from nicegui import ui
 
-from hil.app.desk.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
-from hil.app.jobs import worker_process
-from hil.app.panel.drawings import Curve, Drawing, Options, curves
-from hil.app.panel.pieces import Reading, measurement_words
+from hil.app import worker_process
 from hil.app.panel.report_files import address
-from hil.app.panel.view import View
-from hil.app.report.job import HISTORY_FIGURES, Wanted
 from hil.axis.axis_file import AxisConfig
+from hil.report.job import HISTORY_FIGURES, Wanted
+from hil.ui.screen.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
+from hil.ui.screen.drawings import Curve, Drawing, Options, curves
+from hil.ui.screen.pieces import Reading, measurement_words
+from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 Kept = Reading[ReportsScreen]

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.app.jobs.plan import Move, Plan, Write, measuring_plan
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
 from hil.calibration.in_motion_settings import InMotion
+from hil.desk.plan import Move, Plan, Write, measuring_plan
 from hil.machine.measure import bidirectional_steps
 from hil.records.journal import Campaign
 

@@ -17,10 +17,10 @@ import pytest
 from support import bench_axis
 from support.toy_axis import ToyDrive, ToyMachine
 
-from hil.app.error_log import MOST_BYTES, ErrorLog
-from hil.app.terminal import main as entry
-from hil.app.terminal.options import Later
-from hil.app.terminal.progress import telling_notes
+from hil.app import main as entry
+from hil.desk.error_log import MOST_BYTES, ErrorLog
+from hil.ui.terminal.options import Later
+from hil.ui.terminal.progress import telling_notes
 
 RECORDS = "run,direction,target_mm,measured_mm\n" + "".join(
     f"{run},{d:+d},{p},{p + 0.001 * run * d}\n" for run in (1, 2) for d in (1, -1) for p in (0.0, 10.0)
@@ -76,7 +76,7 @@ HEAVY = {"numpy", "scipy", "matplotlib", "cryptography", "rich", "nicegui", "msg
 
 HELP = """
 import contextlib, io, sys
-from hil.app.terminal.main import build_parser
+from hil.app.main import build_parser
 for argv in sys.argv[1:]:
     with contextlib.redirect_stdout(io.StringIO()), contextlib.suppress(SystemExit):
         build_parser(argv.split()).parse_args([*argv.split(), "--help"])
@@ -152,7 +152,7 @@ def test_a_mistake_of_the_program_is_one_line_and_its_traceback_a_file(
     records: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hil.figures.commands.iso230.run", mistaken)
+    monkeypatch.setattr("hil.files.iso230.run", mistaken)
     log = tmp_path / "state" / "hil" / "errors.log"
     assert entry.main(["iso230", str(records)]) == 1
     assert capsys.readouterr().err == f"hil: LookupError: nobody foresaw this; the traceback is in {log}\n"
@@ -170,7 +170,7 @@ def test_a_file_that_cannot_be_written_hides_no_mistake(
 ) -> None:
     (tmp_path / "state").write_text("no directory")
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hil.figures.commands.iso230.run", mistaken)
+    monkeypatch.setattr("hil.files.iso230.run", mistaken)
     assert entry.main(["iso230", str(records)]) == 1
     assert "LookupError: nobody foresaw this; its traceback cannot be kept in" in capsys.readouterr().err
 
@@ -187,7 +187,7 @@ def test_a_thread_that_nobody_watches_tells_its_mistake_and_leaves_its_traceback
 
     hook = threading.excepthook
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    monkeypatch.setattr("hil.figures.commands.iso230.run", run)
+    monkeypatch.setattr("hil.files.iso230.run", run)
     assert entry.main(["iso230", str(records)]) == 0
     log = tmp_path / "state" / "hil" / "errors.log"
     assert capsys.readouterr().err == f"hil: LookupError: nobody foresaw this; the traceback is in {log}\n"

@@ -11,15 +11,15 @@ import pytest
 from support.bench_axis import lay_out
 
 from drivers.errors import InputError
-from hil.app.jobs.identity import identity
-from hil.app.terminal import main as terminal
-from hil.app.terminal.axis_options import tell_bench
-from hil.app.terminal.options import KEY, READING
-from hil.app.terminal.output import binding_facts, print_table, times, write_json
-from hil.app.terminal.passwords import MEANING, password, password_source
+from hil.app import main as terminal
 from hil.axis.axis_file import load_axis
 from hil.correction.sealed import Binding, WrongKeyPasswordError, WrongPasswordError
+from hil.desk.identity import identity
 from hil.doctor.procedure import Check
+from hil.ui.terminal.axis_options import tell_bench
+from hil.ui.terminal.options import KEY, READING
+from hil.ui.terminal.output import binding_facts, print_table, times, write_json
+from hil.ui.terminal.passwords import MEANING, password, password_source
 
 
 class Keyboard:

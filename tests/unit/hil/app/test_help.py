@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 
 
 class Terminal(io.StringIO):

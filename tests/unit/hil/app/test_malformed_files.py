@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 
 CORPUS = Path(__file__).parents[1] / "corpus"
 RECORDS = tomllib.loads((CORPUS / "records" / "expected.toml").read_text(encoding="utf-8"))

@@ -13,11 +13,11 @@ from drivers.instruments.gauge import Gauge
 from drivers.instruments.nd2xx import ASK_COUNT
 from drivers.instruments.replay import ReplayInstrument
 from drivers.instruments.umd_laser import BesideOptics, UmdLaser
-from hil.app.jobs.identity import instrument_identity
-from hil.app.terminal.main import main
-from hil.app.terminal.sim import instrument_text
+from hil.app.main import main
+from hil.app.sim import instrument_text
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.instrument import KINDS
+from hil.desk.identity import instrument_identity
 from hil.machine.instruments import build_instrument
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GAUGE_KINDS

@@ -10,13 +10,13 @@ from support.backlash_axis import lay_out
 from drivers.clock import Waiting
 from drivers.drive import ServoDrive
 from drivers.errors import InputError, StateError
-from hil.app.jobs.job import Job, Workplace
 from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.axis.backlash import BacklashConfig
 from hil.backlash import job as backlash
 from hil.backlash.job import CompensationState
 from hil.backlash.neutral_settings import BacklashSettings, Setting, neutral
 from hil.backlash.settings import backlash_settings
+from hil.desk.job import Job, Workplace
 from hil.machine.events import silent
 from hil.machine.wiring import connected_drive
 

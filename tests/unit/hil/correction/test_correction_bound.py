@@ -17,7 +17,7 @@ from support import bench_axis
 from support.toy_axis import MEASUREMENT, ToyMachine, toy_session
 
 from drivers.errors import CorrectionBoundError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import CorrectionConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.calibration.calibrate import calibrate

@@ -13,7 +13,7 @@ import pytest
 
 from drivers.drive import DriveLimits
 from drivers.instruments.replay import Recording
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.compensation import Compensation
 from hil.correction.formats import CONTROLLERS, MEASUREMENTS
 from hil.correction.manual import read_manual_tables

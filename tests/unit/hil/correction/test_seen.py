@@ -14,7 +14,7 @@ import pytest
 from support import bench_axis
 
 from drivers.errors import InputError, StateError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.sealed import ReplacedError, check, new_key, resign
 from hil.correction.sealed.seen import Seen, check_seen

@@ -11,8 +11,8 @@ from support.bench_axis import lay_out
 from support.campaigns import campaign, wavy
 from support.screen import Screen, inside
 
-from hil.app.desk.desk import Desk
 from hil.axis.axis_file import load_axis
+from hil.desk.desk import Desk
 from hil.diagnosis import page as diagnosis
 from hil.diagnosis.page_data import diagnosis_screen
 from hil.records.rows import to_csv

@@ -8,12 +8,12 @@ import matplotlib as mpl
 import numpy as np
 import pytest
 
-from hil.app.report.blocks import Block, DataTable, Drawing, Paragraph, walk
-from hil.app.report.svg import LIGHT, fresh
 from hil.diagnosis.report.diagnosis import section
 from hil.diagnosis.report.left_over import panels, panels_plot, read, spectrum_plot
 from hil.diagnosis.report.mean_curves import mean_curve
 from hil.diagnosis.report.spectrum import spectrum
+from hil.ui.report.blocks import Block, DataTable, Drawing, Paragraph, walk
+from hil.ui.report.svg import LIGHT, fresh
 
 N = 240
 

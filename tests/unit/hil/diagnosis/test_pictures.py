@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.diagnosis import pictures
 from hil.records.rows import Records, to_csv
 

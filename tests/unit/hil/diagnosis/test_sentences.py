@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.app.panel.texts import LANGUAGES, Texts
 from hil.diagnosis.follow_up import ALONE_MIN
 from hil.diagnosis.model.rivals import separating
 from hil.diagnosis.next.feasible import feasible_runs
@@ -21,6 +20,7 @@ from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
+from hil.ui.screen.texts import LANGUAGES, Texts
 
 FIGURE = re.compile(r"-?[\d.]+ ± [\d.]+")
 LATIN = re.compile(r"[A-Za-z]{4,}")

@@ -14,7 +14,7 @@ from support import bench_axis
 
 import hil.examples.coolant_level as example
 from drivers.errors import InputError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore

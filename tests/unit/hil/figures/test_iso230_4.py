@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from drivers.errors import InputError
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.figures.iso230_4 import iso230_4, least_squares_circle
 
 ANGLE = np.radians(np.arange(0.0, 360.0, 1.0))

@@ -13,7 +13,6 @@ import pytest
 
 from drivers.drive import DriveLimits
 from drivers.errors import InputError
-from hil.app.panel.texts import Texts
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise
@@ -37,6 +36,7 @@ from hil.lost_motion.procedure import (
 )
 from hil.machine.measure import Step
 from hil.records.rows import Floats, Records
+from hil.ui.screen.texts import Texts
 
 LIMITS = DriveLimits(-2.0, 502.0, 100.0, 500.0)
 HOW = LostMotionConfig(

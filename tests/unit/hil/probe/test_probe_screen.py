@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from support import probe_files
 
-from hil.app.jobs.plan import Move, Plan
+from hil.desk.plan import Move, Plan
 from hil.probe.job import centring_plan, codes, correction_plan, feature_plan, measuring_plan
 from hil.probe.machine_file import BossConfig, ProbeMachineConfig, load_probe_machine
 from hil.probe.page_data import HistoryEntry, ball_positions, history_curves, history_entries, std_um, worst_closure_um

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.correction.formats import wide_iso
 from hil.figures.history import find_campaigns, history, trend
 from hil.figures.reading import RULE
@@ -279,8 +279,8 @@ def test_a_trend_needs_three_dates_over_a_day() -> None:
 
 @pytest.mark.outside
 def test_a_signed_figure_is_drawn_whole(place: Path) -> None:
-    from hil.app.report.history import history_figure  # noqa: PLC0415  (plots are slow to import)
-    from hil.app.report.svg import LIGHT  # noqa: PLC0415
+    from hil.ui.report.history import history_figure  # noqa: PLC0415  (plots are slow to import)
+    from hil.ui.report.svg import LIGHT  # noqa: PLC0415
 
     measured(place / "c", 5.0)
     (moment,) = history(find_campaigns(["."]), ["B_mean"])

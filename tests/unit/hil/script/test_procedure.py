@@ -14,9 +14,9 @@ from support import bench_axis
 
 import hil
 from drivers.drive import DriveState
-from hil.app.desk.desk import Desk
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.axis.axis_file import load_axis
+from hil.desk.desk import Desk
 from hil.examples import creep
 from hil.records.rows import read_csv
 from hil.script.procedure_job import procedure_job

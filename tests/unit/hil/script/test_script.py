@@ -19,7 +19,7 @@ from support.two_axes import lay_out_axes
 import hil
 from drivers.clock import WallClock
 from drivers.drive import DriveState
-from hil.app.terminal.main import main
+from hil.app.main import main
 from hil.records.rows import read_csv
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space

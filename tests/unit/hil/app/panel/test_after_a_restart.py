@@ -14,21 +14,21 @@ from support.bench_axis import lay_out
 from support.screen import Draw, Screen, inside
 
 from drivers.errors import InputError
-from hil.app.desk.control import NotInControlError
-from hil.app.desk.desk import Desk
-from hil.app.desk.progress import Phase
-from hil.app.desk.unfinished import unfinished_work
 from hil.app.panel.pages import overview
-from hil.app.panel.texts import LANGUAGES, Texts
-from hil.app.panel.view import Button
 from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
 from hil.backlash import job, page
 from hil.backlash.settings import NOTE
 from hil.calibration import page as calibration
 from hil.calibration.job import calibration_plan, verification_plan
+from hil.desk.control import NotInControlError
+from hil.desk.desk import Desk
+from hil.desk.progress import Phase
+from hil.desk.unfinished import unfinished_work
 from hil.lost_motion import page as lost_motion
 from hil.lost_motion.job import measuring_plan
 from hil.records.journal import Campaign
+from hil.ui.screen.texts import LANGUAGES, Texts
+from hil.ui.screen.view import Button
 
 COLUMNS = ("run", "direction", "target_mm", "measured_mm")
 Until = Callable[[Callable[[], bool], str], None]

@@ -7,7 +7,7 @@ from importlib.resources import files
 
 import pytest
 
-from hil.app.panel.plots import LIMIT, PALETTES
+from hil.ui.screen.plots import LIMIT, PALETTES
 
 CSS = files("hil.app.panel").joinpath("static", "panel.css").read_text(encoding="utf-8")
 TEXTS = (

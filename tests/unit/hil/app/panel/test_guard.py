@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from hil.app.panel.browsers import COOKIE
 from hil.app.panel.guard import ACCESS, LOGIN, LONGEST_BODY, Form, Guard
+from hil.ui.screen.browsers import COOKIE
 
 Answer = tuple[int, dict[str, str], bytes]
 TOKEN = "an-access-token"

@@ -14,16 +14,16 @@ from nicegui.element import Element
 from nicegui.page import page
 from support.bench_axis import lay_out
 
-from hil.app.desk.desk import Desk
-from hil.app.jobs.job import Job, Workplace
-from hil.app.jobs.plan import Plan
-from hil.app.panel import unfinished
-from hil.app.panel.browsers import Browser
 from hil.app.panel.pages import overview
-from hil.app.panel.texts import Texts
-from hil.app.panel.view import View
 from hil.axis.axis_file import DriveAxis, load_axis
+from hil.desk.desk import Desk
+from hil.desk.job import Job, Workplace
+from hil.desk.plan import Plan
 from hil.lost_motion import page as lost_motion
+from hil.ui.screen import unfinished
+from hil.ui.screen.browsers import Browser
+from hil.ui.screen.texts import Texts
+from hil.ui.screen.view import View
 
 Until = Callable[[Callable[[], bool], str], None]
 Seen = TypeVar("Seen")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from support.bench_axis import lay_out
 
+from hil.app.main import main
 from hil.app.panel import command
-from hil.app.terminal.main import main
 
 
 @pytest.mark.parametrize(

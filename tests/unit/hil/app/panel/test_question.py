@@ -11,13 +11,13 @@ from nicegui import Client, core
 from nicegui.element import Element
 from nicegui.page import page
 
-from hil.app.desk.asking import Pending
-from hil.app.desk.desk import Desk
-from hil.app.jobs.job import Question
-from hil.app.panel.browsers import Browser
 from hil.app.panel.question import draw_question
-from hil.app.panel.texts import Texts
-from hil.app.panel.view import View
+from hil.desk.asking import Pending
+from hil.desk.desk import Desk
+from hil.desk.job import Question
+from hil.ui.screen.browsers import Browser
+from hil.ui.screen.texts import Texts
+from hil.ui.screen.view import View
 
 MINE = "a token"
 

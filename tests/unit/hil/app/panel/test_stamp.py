@@ -12,13 +12,13 @@ from support.bench_axis import lay_out
 from support.campaigns import campaign
 from support.screen import Screen, inside
 
-from hil.app.desk.desk import Desk
-from hil.app.desk.event_log import Kind
-from hil.app.panel.texts import LANGUAGES, Texts
-from hil.app.panel.view import Button
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import page
+from hil.desk.desk import Desk
+from hil.desk.event_log import Kind
 from hil.records.rows import to_csv
+from hil.ui.screen.texts import LANGUAGES, Texts
+from hil.ui.screen.view import Button
 
 UNCERTAIN = "\n[uncertainty]\ndevice_um = 0.1\ndevice_um_per_m = 0.5\nvariation_um = 0.4\n"
 BEGUN = "2026-04-11T08:00:00+00:00"

@@ -1,1 +1,0 @@
-"""Reports: `data` (contents), `document` (the page), `plots` and `svg` (drawings), `views` (residuals), `markup` (HTML)."""

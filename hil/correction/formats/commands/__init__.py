@@ -1,1 +1,0 @@
-"""The verbs of controllers' files: `hil export` and `hil import`."""

@@ -1,1 +1,0 @@
-"""The verbs of sealed files: `hil seal`, `open`, `sign`, `check`."""

@@ -1,0 +1,11 @@
+"""The operator's desk: the screen's logic without drawing, which runs in simulated time without a browser in tests.
+
+desk         jobs and state of one axis            axis_thread  the thread that owns the axis
+job          a job and its place of work           plan         what it moves and writes
+control      which browser may give commands       roles        operator or builder
+live         the state shown of an axis            progress     the state shown of a job
+stop         the operator's stop, and pacing       standstill   how the axis came to rest after it
+asking       a job's questions to the operator     unfinished   interrupted work in the axis's folder
+event_log    what happened at an axis              error_log    program errors
+worker_process  computations in a process of their own
+"""

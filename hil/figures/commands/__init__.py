@@ -1,1 +1,0 @@
-"""The verb of figures: `hil iso230`."""

@@ -1,0 +1,1 @@
+"""`hil report`: the report of an axis, its certificate, and the reports that the screen makes."""

@@ -1,0 +1,1 @@
+"""Options that verbs share, what they read at a terminal, and what they print."""

@@ -1,0 +1,89 @@
+"""Work in a process of its own: its answer, its errors, its end, and one at a time."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.desk.error_log import ErrorLog
+from hil.desk.worker_process import Computed, ComputingError, WorkerProcess
+
+ECHO = "import json, sys; json.dump({'made': [json.load(sys.stdin)['work'], sys.argv[1]]}, sys.stdout)"
+REFUSES = "import json, sys; sys.stdin.read(); print(json.dumps({'error': 'holds no rows'})); sys.exit(1)"
+CRASHES = "import sys; sys.stdin.read(); sys.exit('no memory left')"
+NEVER_ENDS = "import sys, threading; sys.stdin.read(); threading.Event().wait()"
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> ErrorLog:
+    return ErrorLog(tmp_path / "errors.log")
+
+
+def aside(text: str, errors: ErrorLog | None = None) -> WorkerProcess:
+    return WorkerProcess(Path("X.toml"), errors or ErrorLog(Path("errors.log")), (sys.executable, "-c", text))
+
+
+def ended(one: WorkerProcess) -> Computed:
+    """Its end is waited for as the desk does when it closes, without ending it."""
+    assert one._thread is not None
+    one._thread.join(30.0)
+    return one.computed
+
+
+def test_what_was_made_is_told() -> None:
+    one = aside(ECHO)
+    assert one.computed == Computed()
+    one.start({"work": "history"})
+    assert one.computed.number == 1
+    done = ended(one)
+    assert (done.running, done.work, done.made, done.error) == (False, "history", ("history", "X.toml"), "")
+    one.start({"work": "again"})
+    assert ended(one).number == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "said"), [(REFUSES, "holds no rows"), (CRASHES, "no memory left")], ids=["refuses", "crashes"]
+)
+def test_what_went_wrong_is_told_in_one_line(text: str, said: str) -> None:
+    one = aside(text)
+    one.start({"work": "diagnose"})
+    assert ended(one).error == said
+
+
+def test_a_mistake_of_the_program_leaves_its_traceback_in_a_file(log: ErrorLog) -> None:
+    one = aside("import sys; sys.stdin.read(); 1 / 0", log)
+    one.start({"work": "diagnose"})
+    assert ended(one).error == f"ZeroDivisionError: division by zero; the traceback is in {log.path}"
+    assert "Traceback (most recent call last)" in log.path.read_text()
+
+
+def test_an_answer_that_cannot_be_waited_for_is_an_error_and_not_computed_for_ever(
+    log: ErrorLog, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def mistaken(*_: object) -> None:
+        raise LookupError("in the waiting thread")
+
+    monkeypatch.setattr("hil.desk.worker_process._answer", mistaken)
+    one = aside(ECHO, log)
+    one.start({"work": "history"})
+    done = ended(one)
+    assert (done.running, done.error) == (False, f"LookupError: in the waiting thread; the traceback is in {log.path}")
+
+
+def test_one_at_a_time_and_it_can_be_given_up() -> None:
+    one = aside(NEVER_ENDS)
+    one.start({"work": "diagnose"})
+    with pytest.raises(ComputingError, match="diagnose"):
+        one.start({"work": "report"})
+    assert one.computed.running
+    one.close()
+    assert (one.computed.running, one.computed.error) == (False, "cancelled")
+
+
+def test_the_request_is_plain_json() -> None:
+    from hil.app.worker_process import request  # noqa: PLC0415
+    from hil.report.job import Wanted  # noqa: PLC0415
+
+    asked = request("report", [Wanted("before", (Path("a.csv"), Path("b.csv")))])
+    assert json.loads(json.dumps(asked)) == {"work": "report", "campaigns": [["before", ["a.csv", "b.csv"]]]}
