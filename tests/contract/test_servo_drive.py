@@ -6,10 +6,8 @@ import pytest
 from support.drive_rigs import COUNTS_PER_REV, Backend, Rig, arrive, home
 
 from drivers.drive import Capability, DriveSample, DriveState
-from drivers.errors import DriveFaultError, HeldUnderPowerError, LimitError, MotionTimeoutError, StateError
-from drivers.modbus.drive import ModbusDrive
+from drivers.errors import DriveFaultError, LimitError, StateError
 from drivers.scaling import AxisScaling
-from drivers.shutdown import StoppableDrive
 
 OVER_VOLTAGE = 0x3210
 
@@ -250,29 +248,6 @@ def test_an_interrupt_while_it_is_disabled_leaves_no_moving_axis(rig: Rig) -> No
         assert drive.sample().state in (DriveState.QUICK_STOP, DriveState.SWITCH_ON_DISABLED)
         rig.run(0.5)
         assert rig.servo.velocity_actual_counts_s == 0
-
-
-@pytest.mark.parametrize("falls", [False, True])
-def test_an_axis_that_is_not_seen_at_rest_is_told_and_held_where_it_would_fall(
-    rig: Rig, falls: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drive = rig.drive
-    if not isinstance(drive, StoppableDrive):
-        pytest.skip("without a wire nothing is hidden")
-    drive.falls_without_power = falls
-    drive.open()
-    if isinstance(drive, ModbusDrive) and drive.registers.name == "cia402_over_modbus":
-        drive.parameters.write("quick_stop_option", 6)  # it holds; a map does not say what it does else
-    drive.enable()
-    drive.start_move(100.0, 100.0)
-    monkeypatch.setattr(StoppableDrive, "_rests", lambda self: lambda: bool(self.looked_at(self._look())))
-    with pytest.raises(HeldUnderPowerError if falls else MotionTimeoutError, match=r"seen at rest|all the same"):
-        drive.disable()
-    assert rig.servo.powered is falls
-    assert rig.servo.velocity_actual_counts_s == 0
-    monkeypatch.undo()
-    drive.close()
-    assert not rig.servo.powered
 
 
 def test_closing_disables_first_and_can_be_repeated(rig: Rig) -> None:

@@ -21,7 +21,7 @@ from drivers.drive import Capability, ServoDrive
 from drivers.errors import FollowingErrorError, LimitError
 from drivers.modbus.drive_values import DriveValues
 from drivers.modbus.map_loader import load_drive_map
-from drivers.scaling import AxisScaling, ReportedScaling
+from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import Edge
 from hil.drive_table.curve import DriveCurve
@@ -64,27 +64,6 @@ def _stream(drive: ServoDrive, *places_mm: float) -> None:
 
 
 # -- the factors themselves --------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("scaling", "position_mm", "position_counts", "counts_per_mm"),
-    [
-        (GEARED, 40.0, -500_000, 12_500.0),
-        (DIRECT, 40.0, -500_000, 12_500.0),
-        (AxisScaling(100_000, 20.0, Fraction(5, 2), 1), 40.0, 500_000, 12_500.0),
-        (AxisScaling(100_000, 20.0, Fraction(2, 5), 1), 40.0, 80_000, 2_000.0),
-        (AxisScaling(4_096, 5.0), -1.25, -1_024, 819.2),
-        (AxisScaling(8_192, 10.0, Fraction(3), -1), -0.5, 1_229, 2_457.6),  # 1228.8, to the nearest
-        (AxisScaling(131_072, 0.5, Fraction(50, 7)), 0.001, 1_872, 1_872_457.142857),
-    ],
-)
-def test_positions_and_speeds(
-    scaling: AxisScaling, position_mm: float, position_counts: int, counts_per_mm: float
-) -> None:
-    assert scaling.counts_per_load_mm == pytest.approx(counts_per_mm, rel=1e-12)
-    assert scaling.resolution_load_mm == pytest.approx(1.0 / counts_per_mm, rel=1e-12)
-    assert scaling.motor_counts(position_mm) == position_counts
-    assert scaling.load_mm(position_counts) == pytest.approx(position_mm, abs=0.5 / counts_per_mm)
-    assert scaling.motor_counts_per_s(8.0) == scaling.motor_counts_per_s(-8.0) == round(8.0 * counts_per_mm)
-    assert scaling.motor_counts_per_s(1e-9) == 1  # 0 would never arrive
 
 
 @pytest.mark.parametrize(("unit", "um"), [("mm", 10.0), ("um", 0.01), ("counts", 0.0008), ("rev", 80.0)])
@@ -112,13 +91,6 @@ def test_a_window_in_motor_revolutions() -> None:
     found = replace(found, registers=registers, move=replace(found.move, window=0.002))
     values = DriveValues("X", found, GEARED)
     assert values.window_counts() == pytest.approx(200.0)  # 0.002 rev · 100 000
-
-
-def test_what_a_drive_reports_of_its_units() -> None:
-    by_parts = ReportedScaling(Fraction(100_000), Fraction(5, 2), Fraction(20))
-    assert (by_parts.counts_per_shaft_rev, by_parts.counts_per_load_mm) == (250_000, 12_500)
-    by_wire = ReportedScaling(Fraction(100_000), Fraction(5, 2), Fraction(20), Fraction(20_000))
-    assert (by_wire.counts_per_shaft_rev, by_wire.counts_per_load_mm) == (20_000, 1_000)
 
 
 # -- what the drive is told ---------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.drive import DriveLimits
-from drivers.errors import AbortError, CapabilityError, InputError
+from drivers.errors import AbortError, InputError
 from drivers.scaling import AxisScaling
 from drivers.touch_probe import Edge, Latch
 from sim_backends.canopen_bench import CanBench
@@ -77,29 +77,6 @@ def test_a_single_latch_keeps_the_first_edge(rig: Rig) -> None:
     assert again.position_load_mm == pytest.approx(41.0, abs=1e-3)
 
 
-def test_continuous_latching_shows_each_pass_once(rig: Rig) -> None:
-    rig.probe.arm(2, [Edge.POSITIVE], continuous=True)
-    passes = [rig.go(target_mm, 100.0) for target_mm in (60.0, 0.0, 60.0)]
-    assert [round(latch.position_load_mm, 2) for (latch,) in passes] == [40.0, 41.0, 40.0]
-    assert [latch.edges for (latch,) in passes] == [1, 2, 3]
-    assert rig.probe.poll() == []
-
-
-def test_both_edges_of_both_probes(rig: Rig) -> None:
-    rig.probe.arm(1, [Edge.POSITIVE, Edge.NEGATIVE])
-    rig.probe.arm(2, [Edge.POSITIVE, Edge.NEGATIVE])
-    latches = rig.go(60.0, 150.0)
-    found = {(latch.probe, latch.edge): round(latch.position_load_mm, 3) for latch in latches}
-    assert found == {
-        (1, Edge.POSITIVE): 31.416,
-        (2, Edge.POSITIVE): 40.0,
-        (2, Edge.NEGATIVE): 41.0,
-    }
-    (back,) = rig.go(0.0, 150.0)
-    assert (back.probe, back.edge) == (1, Edge.NEGATIVE)
-    assert back.position_load_mm == pytest.approx(31.4159, abs=2e-4)
-
-
 def test_one_probe_is_armed_without_disturbing_the_other(rig: Rig) -> None:
     rig.probe.arm(1, [Edge.POSITIVE])
     rig.go(35.0, 100.0)
@@ -109,12 +86,6 @@ def test_one_probe_is_armed_without_disturbing_the_other(rig: Rig) -> None:
     assert rig.slave.dictionary.number(0x60B9) == 0x0003
 
 
-def test_nothing_is_latched_while_disarmed(rig: Rig) -> None:
-    rig.probe.arm(1, [Edge.POSITIVE])
-    rig.probe.disarm(1)
-    assert rig.go(60.0, 100.0) == []
-
-
 def test_what_cannot_be_is_refused(rig: Rig) -> None:
     with pytest.raises(InputError, match="expected probe 1 or 2"):
         rig.probe.arm(3, [Edge.POSITIVE])
@@ -122,16 +93,3 @@ def test_what_cannot_be_is_refused(rig: Rig) -> None:
         rig.probe.arm(1, [])
     with pytest.raises(AbortError, match="60B8h:00 refused: invalid value"):
         rig.drive.sdo.write_bytes(0x60B8, 0, b"\x05\x00")  # zero pulse as source
-
-
-def test_a_drive_without_the_function_says_so() -> None:
-    with ExitStack() as stack:
-        bench = CanBench((NODE,))
-        del bench.slave.dictionary.items[0x60B8, 0]
-        bench.slave.dictionary._indices.discard(0x60B8)
-        link = stack.enter_context(CanLink(bench.port(), bench.clock))
-        drive = stack.enter_context(
-            CanOpenDrive("X", AxisScaling(100_000, 10.0), LIMITS, bench.clock, link=link, node_id=NODE)
-        )
-        with pytest.raises(CapabilityError, match="touch probe"):
-            drive.touch_probe()

@@ -789,26 +789,6 @@ def test_closing_on_a_dead_wire_does_not_raise(each: Rig) -> None:
         drive.sample()
 
 
-def test_a_server_that_went_away_is_a_lost_link_and_comes_back() -> None:
-    with rig(CIA402) as r, r.drive as drive:
-        drive.enable()
-        r.server.drop_connections()
-        assert drive.sample().state is DriveState.ENABLED  # dialled again on the way
-        assert r.link.statistics.connects == 2
-
-
-def test_a_dead_server_is_a_lost_link() -> None:
-    clock = SimClock()
-    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=COUNTS))
-    with tcp_server({UNIT: make_face(CIA402, servo)}, clock) as (_, port):
-        link = ModbusLink(TcpEndpoint("127.0.0.1", port, TIMEOUT_S), clock)
-        drive = ModbusDrive("X", SCALING, LIMITS, clock, link=link, unit=UNIT, drive_map=load_drive_map(CIA402))
-        drive.open()
-    with pytest.raises(LinkLostError):
-        drive.sample()
-    drive.close()
-
-
 def test_a_fault_is_reset_although_a_stop_was_sent_in_it(each: Rig) -> None:
     with each.drive as drive:
         drive.enable()

@@ -381,6 +381,20 @@ def test_a_reply_of_another_length_or_function_is_said(reply: Callable[[Frame], 
         link.read(1, HOLDING, Span(0, 2))
 
 
+@pytest.mark.parametrize("place", [2, 4], ids=["address", "value or count"])
+@pytest.mark.parametrize("values", [(1,), (1, 2)], ids=["function 6", "function 16"])
+def test_a_write_whose_reply_names_another_place_or_value_is_read_back(values: tuple[int, ...], place: int) -> None:
+    def wrong_echo(request: Frame, send: Send) -> None:
+        reply = bytearray(honest(request).pdu)
+        if reply[0] != 3:
+            reply[place] ^= 8
+        send(packed(request.with_pdu(bytes(reply))))
+
+    with tcp_peer(wrong_echo) as endpoint, linked(endpoint) as link:
+        link.write(1, HOLDING, 5, values)
+        assert link.statistics.resolved_writes == 1
+
+
 @pytest.mark.parametrize("peer", [silent, dribbling, garbage, others_numbers, another_function, hanging_up])
 def test_a_start_bit_to_a_server_that_misbehaves_is_sent_once(peer: Peer) -> None:
     seen = Seen()

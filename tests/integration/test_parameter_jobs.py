@@ -24,7 +24,6 @@ from hil.machine.axis_lock import held_axis
 from hil.machine.events import Event
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
-from hil.parameters.download import Target
 from hil.parameters.job import keep_set, set_files
 from hil.parameters.listing import ListedParameter, Listing, changed
 from hil.parameters.outcome import BackedUp, kept_outcome
@@ -177,21 +176,6 @@ def test_what_is_no_value_or_no_parameter_is_refused_before_the_drive_is_asked(
         changed(listing, one, typed)
 
 
-@pytest.mark.parametrize("typed", ["65536", "-1", "0x10000"])
-def test_a_value_beyond_its_type_is_an_objection_of_the_same_checks(
-    typed: str, axis: DriveAxis, face: FortyFace
-) -> None:
-    operator = Operator()
-    listing = operator.runs(axis, parameters.read_job(axis))
-    assert isinstance(listing, Listing)
-    contents = changed(listing, next(one for one in listing.parameters if one.entry.address == "p0"), typed)
-    found = operator.runs(axis, parameters.compare_job(axis, contents))
-    assert isinstance(found, Comparison)
-    assert [one.address for one in found.objections] == ["p0"]
-    assert report(operator.runs(axis, parameters.download_job(axis, contents))).ending is Ending.REFUSED
-    assert face.ram == SIDES["old"]
-
-
 def test_a_set_of_another_version_is_refused_and_the_outcome_is_kept(axis: DriveAxis, face: FortyFace) -> None:
     """The screen offers no way to allow one."""
     operator = Operator()
@@ -206,27 +190,6 @@ def test_a_set_of_another_version_is_refused_and_the_outcome_is_kept(axis: Drive
     kept = kept_outcome(axis)
     assert kept is not None
     assert kept.outcome == "refused"
-
-
-def test_what_needs_a_persons_leave_is_not_allowed_by_itself(axis: DriveAxis, monkeypatch: pytest.MonkeyPatch) -> None:
-    begun: list[Target] = []
-    monkeypatch.setattr(parameters, "download", lambda targets, **_: begun.extend(targets))
-    parameters.write_axes([axis], [NEW])
-    assert [(one.any_version, one.other_eds) for one in begun] == [(False, False)]
-
-
-def test_a_stop_is_possible_after_each_access(axis: DriveAxis) -> None:
-    """Also where no answer is waited for: nothing but the progress asks."""
-    operator, waited = Operator("write"), list[float]()
-    place = Workplace(axis, None, None, operator.hears, lambda _text: None, None, operator, lambda *_who: None)
-    report_progress = parameters._progress_events(place)
-    report_progress("read", "X", 1, 2)
-    assert operator.heard == [Event("read", "X", 1, 2)]
-    with pytest.raises(StoppedByOperator):
-        report_progress("write", "X", 1, 2)
-    operator.real = waited.append  # type: ignore[assignment,method-assign]
-    report_progress("write", "X", 2, 2)
-    assert waited == [0.0]
 
 
 def test_a_stop_in_the_middle_of_writing_puts_everything_back(axis: DriveAxis, face: FortyFace) -> None:

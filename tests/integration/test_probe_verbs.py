@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import csv
-import itertools
 import json
 import re
 import runpy
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -165,16 +162,6 @@ def test_a_refused_measurement_is_status_1_and_changes_nothing(
     assert form(out)["good"] is False
     assert "N90 + N270" in form(out)["refused"]
     assert [entry.name for entry in (tmp_path / "mill-probe").iterdir()] == ["history.csv"]
-
-
-def test_on_a_schedule_in_simulated_time(tmp_path: Path) -> None:
-    path = machine(tmp_path)
-    assert main(["probe", "measure", str(path), "--every", "30", "--times", "3"]) == 0
-    with (tmp_path / "mill-probe/history.csv").open() as lines:
-        rows = list(csv.DictReader(lines))
-    times = [datetime.fromisoformat(row["time"]) for row in rows]
-    waits = [(later - first).total_seconds() for first, later in itertools.pairwise(times)]
-    assert waits == pytest.approx([1800.0, 1800.0], abs=1.0)
 
 
 @pytest.mark.outside

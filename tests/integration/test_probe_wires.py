@@ -18,8 +18,7 @@ from hil.axis.axis_file import load_drive_axis
 from hil.machine.links import Links
 from hil.machine.wiring import hardware_drive
 from hil.probe.machine_file import load_probe_machine
-from hil.probe.procedure import centre_bore, measure_run_out
-from hil.probe.runout import CorrectionCode
+from hil.probe.procedure import measure_run_out
 from hil.probe.wiring import connected_probe, probe_bench, probe_session
 from sim_backends.canopen_drive import served
 from sim_backends.plant.touch_probe import Bore, Face, Stylus
@@ -92,17 +91,6 @@ def test_modbus_drives_of_one_line_share_it(tmp_path: Path) -> None:
     assert isinstance(second, ModbusDrive)
     assert first.link is second.link
     assert (first.unit, second.unit) == (1, 2)
-
-
-@pytest.mark.outside
-def test_a_bore_is_centred_over_canopen(tmp_path: Path) -> None:
-    config = load_probe_machine(lay_out(tmp_path, probe_files.CANOPEN, "latch"))
-    with connected_probe(config, bench=probe_bench(config, TRUTH)) as session:
-        known = measure_run_out(session).run_out
-    bench = probe_bench(config, TRUTH, in_bore=True)
-    with connected_probe(config, touching=("x", "y"), bench=bench) as session:
-        centre_bore(session, known, CorrectionCode.M93)
-    assert (bench.place("x"), bench.place("y")) == pytest.approx((50.05, 59.98), abs=1e-3)
 
 
 def test_a_drive_that_neither_latches_nor_shows_the_signal_is_refused_before_it_moves(tmp_path: Path) -> None:

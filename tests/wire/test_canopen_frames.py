@@ -57,6 +57,7 @@ def test_boot_up_nmt_and_heartbeat() -> None:
     with CanLink(bench.port(), bench.clock) as link:
         monitor = NodeMonitor(link, NODE, "X")
         monitor.command(NmtCommand.RESET_NODE)
+        assert monitor.state is None  # what was commanded was not heard
         link.send(0x605, bytes.fromhex("2B17100064000000"))  # heartbeat every 100 ms
         monitor.command(NmtCommand.START)
         bench.clock.sleep_s(0.21)

@@ -99,6 +99,21 @@ def test_lines_of_an_adapter_that_are_no_frames_hide_none(before: bytes) -> None
         os.close(slave)
 
 
+def test_a_handlers_error_is_raised_in_the_call_that_waits_and_the_link_goes_on(pair: Pair) -> None:
+    """Where python-can's own Notifier loses its thread, and who sends never learns."""
+    link, other = pair
+
+    def handler(_time_ns: int, _data: bytes) -> None:
+        raise RuntimeError("a handler's mistake")
+
+    link.subscribe(0x181, handler)
+    other.send(_message(0x181))
+    with pytest.raises(RuntimeError, match="a handler's mistake"):
+        link.wait(lambda: False, 1.0)
+    other.send(_message(0x182))
+    assert link.wait(lambda: link.frames_received == 2, 5.0)
+
+
 def test_a_wait_is_bounded(pair: Pair) -> None:
     link, other = pair
     start_ns = link.clock.now_ns()

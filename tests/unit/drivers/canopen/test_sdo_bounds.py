@@ -512,32 +512,7 @@ def test_a_lost_write_that_cannot_be_read_back_is_unknown_whatever_comes(side_by
 
 
 # -- anything at all -----------------------------------------------------------------------------------------------------
-COMMANDS = st.sampled_from(
-    [
-        0x00,
-        0x10,
-        0x01,
-        0x11,
-        0x0E,
-        0x1E,
-        0x20,
-        0x30,
-        0x41,
-        0x40,
-        0x43,
-        0x42,
-        0x60,
-        0x80,
-        0xA0,
-        0xA1,
-        0xA2,
-        0xA4,
-        0xC0,
-        0xC1,
-        0xC2,
-        0xC6,
-    ]
-)
+COMMANDS = st.sampled_from(bytes.fromhex("00 10 01 11 0E 1E 20 30 41 40 43 42 60 80 A0 A1 A2 A4 C0 C1 C2 C6"))
 TAILS = st.one_of(
     st.binary(min_size=7, max_size=7),
     st.builds(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 import uuid
 from collections.abc import Callable, Iterator
@@ -433,7 +434,7 @@ def test_an_axis_that_something_else_disables_in_a_stream_stays_disabled(make: M
         with CyclicStream([drive], StreamSettings(0.01)) as stream:
             for cycle in range(60):
                 if cycle == 40:
-                    rig.bench.slave.profile._write_controlword(0x0006)
+                    rig.bench.slave.dictionary.write(0x6040, 0, b"\x06\x00")
                     rig.clock.attach(lambda _now_ns, _dt_s: states.append(rig.bench.slave.profile.state))
                 stream.cycle([0.5 * cycle])
 
@@ -524,17 +525,22 @@ def test_an_axis_that_goes_on_after_a_halt_is_quick_stopped_when_its_ramp_should
     rig.assert_without_power_at_rest()
 
 
-def _restless(monkeypatch: pytest.MonkeyPatch) -> CanOpenSettings:
-    """An axis that is never seen at rest."""
-    monkeypatch.setattr(Standstill, "look", lambda *_, **__: False)
-    return CanOpenSettings(power=PowerTimes(stop_s=0.5))
+RESTLESS = CanOpenSettings(power=PowerTimes(stop_s=0.5))
+
+
+def restless(rig: Rig) -> Rig:
+    """From now on the drive shows an axis that is never at rest."""
+    dictionary, places = rig.bench.slave.dictionary, itertools.cycle((0, 2000))
+    dictionary.on_read(0x606C, 0, lambda: 777)
+    dictionary.on_read(0x6064, 0, lambda: rig.servo.position_actual_counts + next(places))
+    return rig
 
 
 @pytest.mark.parametrize("option", [2, 6])
 def test_an_axis_that_is_not_seen_at_rest_is_quick_stopped_and_disabled_all_the_same(
-    make: MakeRig, monkeypatch: pytest.MonkeyPatch, option: int
+    make: MakeRig, option: int
 ) -> None:
-    rig = make(settings=_restless(monkeypatch), parameters={(0x605A, 0): option})
+    rig = restless(make(settings=RESTLESS, parameters={(0x605A, 0): option}))
     drive = rig.moving()
     if option == 2:  # the drive disables itself after its quick stop: that counts
         drive.disable()
@@ -546,11 +552,9 @@ def test_an_axis_that_is_not_seen_at_rest_is_quick_stopped_and_disabled_all_the_
 
 
 @pytest.mark.parametrize(("option", "state"), [(2, DriveState.ENABLED), (6, DriveState.QUICK_STOP)])
-def test_an_axis_that_falls_is_held_instead(
-    make: MakeRig, monkeypatch: pytest.MonkeyPatch, option: int, state: DriveState
-) -> None:
+def test_an_axis_that_falls_is_held_instead(make: MakeRig, option: int, state: DriveState) -> None:
     """By the quick stop where the drive holds after it, else by the halt: a quick stop would end without power."""
-    rig = make(settings=_restless(monkeypatch), parameters={(0x605A, 0): option})
+    rig = restless(make(settings=RESTLESS, parameters={(0x605A, 0): option}))
     rig.drive.falls_without_power = True
     drive = rig.moving()
     assert any("switches its power off" in note for note in drive.notes) is (option == 2)
@@ -629,14 +633,15 @@ def test_an_axis_that_moves_elsewhere_while_it_takes_a_set_point_is_stopped_at_o
     rig.assert_without_power_at_rest()
 
 
-def test_an_interrupt_in_the_middle_of_an_order_sends_a_stop(make: MakeRig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupt_in_the_middle_of_an_order_sends_a_stop(make: MakeRig) -> None:
     rig = make()
     drive = rig.moving(100.0)
 
-    def interrupted(*_: object) -> bool:
-        raise KeyboardInterrupt
+    def interrupt(word: int) -> None:
+        if word & 0x10:
+            raise KeyboardInterrupt
 
-    monkeypatch.setattr(drive.motion, "_await_bit", interrupted)
+    rig.bench.slave.dictionary.on_write(0x6040, 0, interrupt)
     with pytest.raises(KeyboardInterrupt):
         drive.start_move(-100.0, 100.0)
     assert rig.bench.slave.profile.state is DriveState.QUICK_STOP
