@@ -17,8 +17,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.special import fdtrc, ndtri, stdtrit
 
 from hil.backlash.trace import Floats, ReversalTrace
 
@@ -153,7 +153,7 @@ def _level_variance(trace: ReversalTrace, sliding: Mask, drift: float) -> float:
 
 def _student(freedom: int) -> float:
     """Ratio of Student's to the normal quantile at 95 %, for a spread estimated with so few degrees of freedom."""
-    return float(stdtrit(freedom, 0.975) / ndtri(0.975))
+    return float(scipy.special.stdtrit(freedom, 0.975) / scipy.special.ndtri(0.975))
 
 
 def _first_guess(travel: Floats, torque: Floats) -> float | None:
@@ -203,7 +203,7 @@ def _explains_more(more: _Polynomial, fewer: _Polynomial) -> bool:
         return False
     added = fewer.freedom - more.freedom
     gain = (fewer.rss - more.rss) / added / (more.rss / more.freedom)
-    return bool(fdtrc(added, more.freedom, gain) < _F_TEST_LEVEL)
+    return bool(scipy.special.fdtrc(added, more.freedom, gain) < _F_TEST_LEVEL)
 
 
 def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:

@@ -7,16 +7,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+import scipy
 
 from hil.backlash.fitted import FittedWindUp, fit_wind_up, hidden_um
 from hil.backlash.four_sample import four_sample
 from hil.backlash.trace import ReversalTrace
 
-_NORMAL = float(ndtri(0.975))
+_NORMAL = NormalDist().inv_cdf(0.975)
 
 NAMES = {-1: "+ → −", 1: "− → +"}
 """Names of the two reversals, by the direction after them."""
@@ -90,7 +91,7 @@ def _chance_variance(reversals: Sequence[Reversal], direction: int) -> float:
     if len(fits) < 2:
         return stated
     values = np.array([fit.lost_motion_um for fit in fits])
-    student = float(stdtrit(len(fits) - 1, 0.975) / _NORMAL)
+    student = float(scipy.special.stdtrit(len(fits) - 1, 0.975) / _NORMAL)
     seen = student**2 * float(values.var(ddof=1)) / len(fits)
     return max(stated, seen)
 

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from drivers.correction_table import CorrectionTable
 from drivers.errors import BridgeError, CapabilityError
@@ -183,7 +183,7 @@ def proof_of(blocks: dict[str, Records], tolerance_um: float) -> Proof:
                 degrees += len(found) - 1
             counts = min(counts, 1.0 / (1.0 / len(mine) + 1.0 / len(theirs)))
     std_um = math.sqrt(squares / degrees) if degrees else math.nan
-    quantile = float(stdtrit(degrees, 1.0 - 0.05 / (2 * len(places)))) if degrees else math.nan
+    quantile = float(scipy.special.stdtrit(degrees, 1.0 - 0.05 / (2 * len(places)))) if degrees else math.nan
     return Proof(tuple(places), quantile * std_um / math.sqrt(counts), tolerance_um, measured=True)
 
 

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from drivers.errors import InputError
 from hil.records.rows import UM_PER_MM, Floats, Records
@@ -182,9 +183,8 @@ def _at(grid: Floats, place: Floats, value: Floats) -> Floats:
 
 def _student(freedom: float, probability: float) -> float:
     """Quantile of Student's t distribution."""
-    from scipy.special import stdtrit  # noqa: PLC0415  (slow to import, and every job at an axis can measure a latency)
 
-    return float(stdtrit(freedom, probability))
+    return float(scipy.special.stdtrit(freedom, probability))
 
 
 def _fit(rows: Floats, values: Floats) -> tuple[Floats, Floats]:

@@ -15,6 +15,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
 from hil.records.rows import Floats
 
@@ -37,9 +38,8 @@ def mean_um(values: Floats) -> float:
 
 
 def _expanded_um(variance: float, m: int) -> float:
-    from scipy.special import stdtrit  # noqa: PLC0415  (slow to import, and every job at an axis comes through here)
 
-    return float(stdtrit(m - 2, _TWO_SIGMA)) * math.sqrt(variance)
+    return float(scipy.special.stdtrit(m - 2, _TWO_SIGMA)) * math.sqrt(variance)
 
 
 def _scatter(values: Floats) -> Floats:

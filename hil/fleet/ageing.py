@@ -12,10 +12,11 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
-from scipy.special import ndtri, stdtrit
+import scipy
 
 from drivers.errors import InputError
 from hil.figures.history import Trend, trend
@@ -37,7 +38,7 @@ FALSE_PER_LOOK = 0.05
 _SPREAD_FREEDOM = 0.45
 """Degrees of freedom of the median absolute deviation, per axis but one. Of 20,000 simulated fleets of like axes one was called unlike
 in 0.02 (8 axes) to 0.05 (200); with 0.37, its efficiency, in 0.01 to 0.046; by the normal distribution in 0.26 to 0.08."""
-_SPREAD = 1.0 / float(ndtri(0.75))  # of the median absolute deviation of a normal distribution
+_SPREAD = 1.0 / NormalDist().inv_cdf(0.75)  # of the median absolute deviation of a normal distribution
 
 
 @dataclass(frozen=True)
@@ -279,4 +280,4 @@ def compare(series: Sequence[Series]) -> list[Compared]:
 def _limit(axes: int, *, either: bool) -> float:
     if axes < FEWEST_AXES:
         return math.nan
-    return -float(stdtrit(_SPREAD_FREEDOM * (axes - 1), FALSE_PER_LOOK / axes / (2.0 if either else 1.0)))
+    return -float(scipy.special.stdtrit(_SPREAD_FREEDOM * (axes - 1), FALSE_PER_LOOK / axes / (2.0 if either else 1.0)))

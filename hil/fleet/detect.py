@@ -20,9 +20,8 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 from hil.records.rows import Floats
 
@@ -59,7 +58,9 @@ def arl(threshold: float, reference: float = REFERENCE, clip: float = math.inf) 
 
 
 def _below(score: NDArray[Any], clip: float) -> Floats:
-    return np.asarray(np.where(score >= clip, 1.0, np.where(score < -clip, 0.0, ndtr(score))), dtype=np.float64)
+    return np.asarray(
+        np.where(score >= clip, 1.0, np.where(score < -clip, 0.0, scipy.special.ndtr(score))), dtype=np.float64
+    )
 
 
 @lru_cache(maxsize=64)
@@ -75,7 +76,7 @@ def threshold_for(run_length: float, reference: float = REFERENCE, clip: float =
     high = 2.0 * LOWEST
     while beyond(high) < 0.0:
         high *= 1.5
-    return float(brentq(beyond, LOWEST, high, xtol=1e-4))
+    return float(scipy.optimize.brentq(beyond, LOWEST, high, xtol=1e-4))
 
 
 def scores(values: Floats, floor: Floats | None = None, clip: float = CLIP) -> Floats:
@@ -87,7 +88,7 @@ def scores(values: Floats, floor: Floats | None = None, clip: float = CLIP) -> F
     found = np.full(len(values), np.nan)
     mean, squares = 0.0, 0.0
     least = np.zeros(len(values)) if floor is None else np.nan_to_num(floor)
-    beyond = float(ndtr(clip))
+    beyond = float(scipy.special.ndtr(clip))
     for n, value in enumerate(values.tolist()):
         if n >= LEAST - 1:
             s = max(math.sqrt(squares / (n - 1)), float(least[n])) * math.sqrt((n + 1) / n)
@@ -95,10 +96,10 @@ def scores(values: Floats, floor: Floats | None = None, clip: float = CLIP) -> F
             if s == 0.0:
                 score = math.copysign(clip, away) if away else 0.0
             else:
-                score = math.copysign(-float(ndtri(stdtr(n - 1, -abs(away) / s))), away)
+                score = math.copysign(-float(scipy.special.ndtri(scipy.special.stdtr(n - 1, -abs(away) / s))), away)
             if abs(score) > clip:
                 score = math.copysign(clip, away)
-                value = mean + math.copysign(min(abs(away), s * float(stdtrit(n - 1, beyond))), away)  # noqa: PLW2901
+                value = mean + math.copysign(min(abs(away), s * float(scipy.special.stdtrit(n - 1, beyond))), away)  # noqa: PLW2901
             found[n] = score
         away = value - mean
         mean += away / (n + 1)

@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from hil.correction.rise import Floats, Rise
 
@@ -114,7 +114,7 @@ class _Coordinates:
 def fit_at_load(first: Rise, places: StrokePositions, bounds: LengthBounds) -> Rise:
     """The rise of this shape with the least squares of the load's position, searched from a rise near it."""
     coordinates = _Coordinates(first, bounds, _most_um(places))
-    best = least_squares(
+    best = scipy.optimize.least_squares(
         lambda values: places.residual_um(coordinates.rise(values)),
         coordinates.start,
         jac=lambda values: coordinates.slopes(values, places.motor_mm),

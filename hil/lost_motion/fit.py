@@ -14,8 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import least_squares, nnls
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
@@ -247,7 +247,7 @@ def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool) -> Fitted:
     def solved(lengths: Sequence[float]) -> tuple[Floats, Floats]:
         columns = [shape.columns(s, lengths), slope, -slope]  # the slope may have either sign
         matrix = np.column_stack(columns) * w[:, None]
-        amounts, _ = nnls(matrix, w * y)
+        amounts, _ = scipy.optimize.nnls(matrix, w * y)
         return amounts, np.asarray(matrix @ amounts - w * y, dtype=np.float64)
 
     if shape.knots:
@@ -281,7 +281,7 @@ def _lengths(
     ]
     best = min(
         (
-            least_squares(
+            scipy.optimize.least_squares(
                 lambda v: solved(v)[1], np.clip(one, low + edge, high - edge), bounds=(low, high), x_scale=span / 10.0
             )
             for one in starts

@@ -16,6 +16,7 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from drivers.errors import InputError
 from hil.correction.formats.common import (
@@ -114,12 +115,13 @@ def _steps(wanted: DirectionalTable, backlash_um: float, settings: GrblHalSettin
 
 def _slope(x_mm: Floats, y_um: Floats) -> float:
     """Slope, µm/mm, of the straight line with the smallest largest distance from a curve, by a linear program."""
-    from scipy.optimize import linprog  # noqa: PLC0415  (slow to import, and one format of eight needs it)
 
     one = np.ones_like(x_mm)
     above, below = np.column_stack([x_mm, one, -one]), np.column_stack([-x_mm, -one, -one])
     sides = np.concatenate([y_um, -y_um])
-    found = linprog([0.0, 0.0, 1.0], np.vstack([above, below]), sides, bounds=[(None, None), (None, None), (0.0, None)])
+    found = scipy.optimize.linprog(
+        [0.0, 0.0, 1.0], np.vstack([above, below]), sides, bounds=[(None, None), (None, None), (0.0, None)]
+    )
     return float(found.x[0])
 
 

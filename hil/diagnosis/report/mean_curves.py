@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
+import scipy
 
 from hil.records.rows import Floats
 
@@ -51,7 +51,7 @@ def mean_curve(label: str, x: Floats, residual_um: Floats) -> MeanCurve:
     mean = np.bincount(index, weights=residual_um) / rows
     square = np.bincount(index, weights=(residual_um - mean[index]) ** 2)
     dof = np.maximum(rows - 1, 1)
-    half = stdtrit(dof, (1 + BAND) / 2) * np.sqrt(square / dof / rows)
+    half = scipy.special.stdtrit(dof, (1 + BAND) / 2) * np.sqrt(square / dof / rows)
     half[rows < 2] = np.nan
     return MeanCurve(label, at, mean, mean - half, mean + half, rows, levels)
 

@@ -12,8 +12,8 @@ from functools import partial
 
 import matplotlib as mpl
 import numpy as np
+import scipy
 from matplotlib.figure import FigureBase
-from scipy.special import stdtrit
 
 from hil.records.rows import Floats, Records
 from hil.ui.report.blocks import Block, DataTable, Drawing, Heading, said
@@ -92,7 +92,9 @@ def difference(a: Records, b: Records) -> Difference:
             if low <= target <= high:
                 between += bool(np.min(np.abs(was.target_mm - target)) > SAME_MM)
                 mean_was, var_was, runs_was = was.at(float(target))
-                limit_um = math.sqrt(var + var_was) * float(stdtrit(max(1.0, runs + runs_was - 2.0), 0.975))
+                limit_um = math.sqrt(var + var_was) * float(
+                    scipy.special.stdtrit(max(1.0, runs + runs_was - 2.0), 0.975)
+                )
                 rows.append((sign, float(target), float(mean - mean_was), limit_um))
     direction, target_mm, difference_um, limits_um = np.array(rows, dtype=np.float64).reshape(-1, 4).T
     return Difference(direction, target_mm, difference_um, limits_um, between)
