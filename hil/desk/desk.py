@@ -85,7 +85,7 @@ class Desk:
         self.events = EventLog(axis.store.directory / EVENTS, axis.name)
         self._thread.on_lost = self._lost
         self._worker = WorkerProcess(axis.path, self.errors)
-        self._backoff = BackOff()
+        self.backoff = BackOff()
         self._lock = threading.Lock()
         self._log: JobLog | None = None
         self._last: dict[str, JobLog] = {}
@@ -269,16 +269,16 @@ class Desk:
 
     def _opened(self, opening: Callable[[], None]) -> None:
         """Open with a password. Raises LockedError during the back-off after wrong ones, and what `opening` raises."""
-        wait_s = self._backoff.wait_s(self.name)
+        wait_s = self.backoff.wait_s(self.name)
         if wait_s > 0.0:
             raise LockedError(f"after wrong passwords the next one is looked at in {math.ceil(wait_s)} s")
         try:
             opening()
         except WrongPasswordError:
-            count = self._backoff.wrong(self.name)
+            count = self.backoff.wrong(self.name)
             _LOG.warning("wrong password at axis %s, %d in a row", self.name, count)
             raise
-        self._backoff.right(self.name)
+        self.backoff.right(self.name)
 
     def _forget_unless_held(self, token: str | None) -> None:
         """Undo an opening if control has changed meanwhile. Raises NotInControlError then."""

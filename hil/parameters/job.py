@@ -137,13 +137,15 @@ def write_axes(
     Raises as `download`, and connecting."""
     with connected_parameters(axes, waiting) as drives:
         targets = [
-            Target(drive, contents, journal_of(axis), any_version, other_eds, bound_tables(axis), _backlash_of(axis))
+            Target(
+                drive, contents, journal_of(axis), any_version, other_eds, bound_tables(axis), backlash_addresses(axis)
+            )
             for drive, contents, axis in zip(drives, sets, axes, strict=True)
         ]
         return download(targets, store=store, ask=ask, progress=progress)
 
 
-def _backlash_of(axis: DriveAxis) -> tuple[str, ...]:
+def backlash_addresses(axis: DriveAxis) -> tuple[str, ...]:
     """Addresses of the drive's own backlash compensation, as the axis file names it."""
     named = () if axis.backlash is None else (axis.backlash.parameter, axis.backlash.acceleration)
     keys = {name: object_key(name) for name in named if name is not None}

@@ -71,7 +71,12 @@ def lay_out(
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / "axis.toml"
     path.write_text(TEXT.format(machine=machine, sections=sections, runs=runs, correction=correction))
+    write_keys(directory)
+    return path
+
+
+def write_keys(directory: Path) -> None:
+    """The builder's pair, where an axis file looks for it."""
     key = new_key()
     save_private_key(directory / "builder.key", key, PASSWORDS["HIL_KEY_PASSWORD"], cost=Cost(n=1 << 10, r=8, p=1))
     save_public_key(directory / "builder.pub", key.public_key())
-    return path

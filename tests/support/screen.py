@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from typing import Any
+from inspect import signature
+from typing import Any, cast
 
 from nicegui import Client, core, ui
+from nicegui.element import Element
+from nicegui.events import UploadEventArguments
 from nicegui.page import page
 
 from hil.desk.desk import Desk
@@ -15,6 +18,22 @@ from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import View
 
 Draw = Callable[[View], object]
+
+
+def begun_by(element: Element, event: str = "") -> set[asyncio.Task[Any]]:
+    """What an element's listeners, of one event or of all, set going."""
+    before = asyncio.all_tasks()
+    for listener in element._event_listeners.values():
+        if event in ("", listener.type):
+            handler = cast(Callable[..., object], listener.handler)
+            handler(*[None] * len(signature(handler).parameters))
+    return asyncio.all_tasks() - before
+
+
+async def brought(upload: ui.upload, file: object) -> None:
+    """What a page does with a file that a browser brings."""
+    (handler,) = upload._upload_handlers
+    await cast(Any, handler)(UploadEventArguments(sender=upload, client=upload.client, file=cast(Any, file)))
 
 
 class Screen:
@@ -41,10 +60,7 @@ class Screen:
 
     def begins(self, name: str) -> set[asyncio.Task[Any]]:
         """Press a button; what it set going."""
-        before = asyncio.all_tasks()
-        for listener in self.named(name)._event_listeners.values():
-            listener.handler(None)
-        return asyncio.all_tasks() - before
+        return begun_by(self.named(name))
 
     async def presses(self, name: str) -> None:
         """A button, until all that it does is done."""
@@ -68,6 +84,12 @@ class Screen:
                 done = callback()
                 if done is not None:
                     await done
+
+
+def is_visible(element: Element) -> bool:
+    """Itself, and all that it is in."""
+    around = element.parent_slot
+    return element.visible and (around is None or is_visible(around.parent))
 
 
 def inside(work: Callable[[], Awaitable[None]]) -> None:

@@ -75,6 +75,7 @@ class ToyMachine:
     trouble: Trouble = field(default_factory=Trouble)
     state: DriveState = DriveState.SWITCH_ON_DISABLED
     motor_mm: float = 40.0
+    first_reading_s: float = 0.0
     temperatures: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -93,7 +94,7 @@ class ToyMachine:
         self.arrival_um = 0.0
         self.seen_mm = OFFSET_MM
         self._random = np.random.default_rng(self.seed)
-        self._next_reading_ns = 0
+        self._next_reading_ns = round(self.first_reading_s * NS_PER_S)
         self.clock.attach(self.advance)
 
     @property

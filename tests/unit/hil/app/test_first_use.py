@@ -18,7 +18,7 @@ from hil.desk.identity import identity
 from hil.doctor.procedure import Check
 from hil.ui.terminal.axis_options import tell_bench
 from hil.ui.terminal.options import KEY, READING
-from hil.ui.terminal.output import binding_facts, print_table, times, write_json
+from hil.ui.terminal.output import binding_facts, print_table, write_json
 from hil.ui.terminal.passwords import MEANING, password, password_source
 
 
@@ -26,14 +26,14 @@ class Keyboard:
     """A terminal at which nothing but these lines is typed; then the input ends."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
-        self._lines = list(lines)
+        self.lines = list(lines)
         monkeypatch.setattr("sys.stdin.isatty", lambda: True, raising=False)
         monkeypatch.setattr("getpass.getpass", self.typed)
 
     def typed(self, _prompt: str) -> str:
-        if not self._lines:
+        if not self.lines:
             raise EOFError
-        return self._lines.pop(0)
+        return self.lines.pop(0)
 
 
 @pytest.fixture(autouse=True)
@@ -235,7 +235,3 @@ def test_a_risk_is_not_called_good() -> None:
     assert Check("note", True, "…").verdict == "note"
     assert Check("zero", False, "…", True).verdict == "NOT GOOD"
     assert Check("zero", True, "…").verdict == "good"
-
-
-def test_counts_in_words() -> None:
-    assert [times(count) for count in (1, 2, 3)] == ["once", "twice", "3 times"]

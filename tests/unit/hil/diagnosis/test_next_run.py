@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-import pytest
+from pathlib import Path
 
-from drivers.errors import CapabilityError
-from hil.diagnosis.loop import command as close_loop
+import pytest
+from support.bench_axis import PASSWORDS, lay_out
+
+from drivers.errors import CapabilityError, InputError
+from hil.app.main import main
+from hil.diagnosis.loop.procedure import Turning
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
 from hil.machine.conditions import AskedConditions
@@ -23,12 +27,21 @@ def test_a_person_can_be_asked_for_the_axis_files_levels_and_for_the_optics() ->
         conditions.set("pos_y_mm", 1.0)
 
 
-def test_nobody_is_asked_without_a_terminal_and_a_no_is_a_no(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert close_loop._consent(None) is None, "a test has no terminal"
-    assert close_loop._consent("none") is None
-    consent = close_loop._consent("ask")
-    assert consent is not None
+def test_nobody_is_asked_without_a_terminal_and_a_no_is_a_no(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    path, loops = lay_out(tmp_path), list[Turning]()
+
+    def looped(_machine: object, _store: object, turning: Turning, *_: object, **__: object) -> None:
+        loops.append(turning)
+        raise InputError("far enough")
+
+    monkeypatch.setattr("hil.diagnosis.loop.command.run_loop", looped)
+    for person in ([], ["--person", "none"], ["--person", "ask"]):
+        assert main(["close-loop", str(path), *person]) == 2
+    assert [one.consent is None for one in loops] == [True, True, False]
     run = next(plan for plan in feasible_runs(Means(0.0, 400.0)) if plan.person)
-    said = iter(["y", "no", ""])
+    said, consent = iter(["y", "no", ""]), loops[-1].consent
+    assert consent is not None
     monkeypatch.setattr("builtins.input", lambda _: next(said))
     assert [consent(run) for _ in range(3)] == [True, False, False]

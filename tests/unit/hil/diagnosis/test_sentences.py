@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.campaigns import campaign
 
 from hil.diagnosis.follow_up import ALONE_MIN
 from hil.diagnosis.model.rivals import separating
@@ -20,6 +21,7 @@ from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
+from hil.ui.report.data import NamedCampaign
 from hil.ui.screen.texts import LANGUAGES, Texts
 
 FIGURE = re.compile(r"-?[\d.]+ ± [\d.]+")
@@ -238,4 +240,5 @@ def test_screen_and_report_say_the_ends_where_plus_minus_does_not_say_as_much(
     ((name, value, std),) = shown.parameters
     said = Texts("en").estimate(value, std, "µm", shown.intervals.get(name))
     assert said == panel
-    assert report in diagnosis_part._in_short(told)
+    rows = NamedCampaign("a", campaign(runs=2))
+    assert f"(drift {report}" in diagnosis_part.opening({"findings": [told]}, rows, rows)

@@ -54,6 +54,7 @@ class Port(can.BusABC):
         self.inner = inner
         self.channel_info = "simulated wire"
         self.sent = 0
+        self.is_shut = False
         self.at: int | None = None
         self.what: Callable[[can.Message], bool] = lambda _message: True
 
@@ -68,6 +69,7 @@ class Port(can.BusABC):
     def shutdown(self) -> None:
         super().shutdown()
         self.inner.shutdown()
+        self.is_shut = True
 
 
 class Rig:
@@ -88,7 +90,7 @@ class Rig:
 
     @contextmanager
     def drive(self) -> Iterator[CanOpenDrive]:
-        with CanLink(self.bench.port() if self.port._is_shutdown else self.port, self.bench.clock) as link:
+        with CanLink(self.bench.port() if self.port.is_shut else self.port, self.bench.clock) as link:
             drive = CanOpenDrive(
                 "X",
                 AxisScaling(100_000, 10.0),
@@ -289,14 +291,14 @@ class _Once:
     """Once, then as before."""
 
     def __init__(self, what: Callable[[can.Message], bool]) -> None:
-        self._what = what
-        self._done = False
+        self.does = what
+        self.done = False
 
     def __call__(self, message: can.Message) -> bool:
-        if self._done:
+        if self.done:
             return True
-        self._done = True
-        return self._what(message)
+        self.done = True
+        return self.does(message)
 
 
 HAPPENINGS: dict[str, Callable[[], Callable[[can.Message], bool]]] = {

@@ -31,11 +31,11 @@ class Truth:
             for feed in feeds:
                 start = rng.uniform(20.0, 400.0)
                 parts += [
-                    self._pass(rng, run, feed, way, np.linspace(start, start + 60.0, n)[::way]) for way in (1, -1)
+                    self.one_pass(rng, run, feed, way, np.linspace(start, start + 60.0, n)[::way]) for way in (1, -1)
                 ]
         return Records.of({name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
-    def _pass(
+    def one_pass(
         self, rng: np.random.Generator, run: int, feed: float, way: int, motor_mm: np.ndarray
     ) -> dict[str, np.ndarray]:
         """What is read when the drive is found at these places."""

@@ -209,15 +209,17 @@ def test_a_kill_while_a_part_is_changed_never_shows_a_campaign_twice(
     root = fleet(tmp_path)
     made(root)
     shutil.rmtree(root / "A0-campaign" / "verify-001")
-    real = the_index._write_part
+    real = Path.rename
 
-    def killed(*_: object) -> None:
-        raise KeyboardInterrupt
+    def killed(path: Path, target: Path) -> Path:
+        if path.name.startswith(".new-"):
+            raise KeyboardInterrupt
+        return real(path, target)
 
-    monkeypatch.setattr(the_index, "_write_part", killed)
+    monkeypatch.setattr(Path, "rename", killed)
     with pytest.raises(KeyboardInterrupt):
         made(root)
-    monkeypatch.setattr(the_index, "_write_part", real)
+    monkeypatch.setattr(Path, "rename", real)
     assert campaigns(root) == []
     assert counts(made(root)) == (5, 5, 0, 0)
     assert len(campaigns(root)) == 5

@@ -99,11 +99,11 @@ class _Told(list[tuple[str, float]]):
 
     def __init__(self, order: list[str], name: str) -> None:
         super().__init__()
-        self._order, self._name = order, name
+        self.order, self.name = order, name
 
     def append(self, call: tuple[str, float]) -> None:
         super().append(call)
-        self._order.append(f"{self._name} {call[0]}")
+        self.order.append(f"{self.name} {call[0]}")
 
 
 def test_a_move_that_a_script_started_is_stopped_and_disabled_when_its_block_is_left() -> None:

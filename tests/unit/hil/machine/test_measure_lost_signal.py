@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.bench_axis import lay_out
-from support.toy_axis import ToyDrive, ToyInstrument, ToyMachine, toy_session
+from support.toy_axis import ToyInstrument, ToyMachine, toy_session
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
@@ -45,17 +45,17 @@ class Outage:
         self.lost = False
 
     def poll(self) -> Sequence[Reading]:
-        if self.port and self._away(self.machine.now_s):
+        if self.port and self.is_away(self.machine.now_s):
             self.lost = True
             raise LinkLostError("port toy is gone")
-        return [self._heard(reading) for reading in self.plain()]
+        return [self.as_heard(reading) for reading in self.plain()]
 
-    def _away(self, time_s: float) -> bool:
+    def is_away(self, time_s: float) -> bool:
         return any(start <= time_s < end for start, end in self.windows)
 
-    def _heard(self, reading: Reading) -> Reading:
+    def as_heard(self, reading: Reading) -> Reading:
         time_s = reading.time_ns / NS_PER_S
-        self.lost |= self._away(time_s)
+        self.lost |= self.is_away(time_s)
         if self.lost:
             return replace(reading, status=ReadingStatus.BEAM_LOST, position_mm=None)
         gone = sum(end <= time_s for _, end in self.windows)
@@ -131,14 +131,13 @@ def test_nothing_moves_before_the_signal_was_steady(tmp_path: Path) -> None:
     with toy_session(machine) as session:
         session.resume_within_s = 60.0
         outage(session, (6.0, 10.0), (10.5, 13.0))
-        assert isinstance(session.drive, ToyDrive)
-        start = session.drive._start_move
+        start = session.drive.start_move
 
         def start_move(position_mm: float, velocity_mm_s: float) -> None:
             moves.append(machine.now_s)
             start(position_mm, velocity_mm_s)
 
-        session.drive._start_move = start_move  # type: ignore[method-assign]
+        session.drive.start_move = start_move  # type: ignore[method-assign]
         passed(tmp_path / "c", session, [])
     assert not [at for at in moves if 6.1 < at < 13.0 + STEADY_S], "half a second of signal is none"
     assert [at for at in moves if 13.0 + STEADY_S <= at < 13.0 + 2 * STEADY_S]

@@ -343,8 +343,7 @@ def test_trouble_while_reading_at_rest() -> None:
 
 
 def test_an_instrument_may_take_longer_to_its_first_reading_than_between_readings() -> None:
-    machine = ToyMachine()
-    machine._next_reading_ns = round(1.3 * NS_PER_S)
+    machine = ToyMachine(first_reading_s=1.3)
     with toy_session(machine, reading_s=0.1) as session:
         session.prepare()
         assert machine.now_s > 1.3

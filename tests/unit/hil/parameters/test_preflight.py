@@ -12,7 +12,7 @@ import pytest
 from drivers.errors import InputError
 from drivers.parameters import ParameterKind
 from hil.correction.store import BoundTables
-from hil.parameters.job import _backlash_of
+from hil.parameters.job import backlash_addresses
 from hil.parameters.preflight import Objection, Wanted, data_of, notes_of_units, objections_to_reversal
 from hil.parameters.set_file import SetEntry
 
@@ -116,8 +116,8 @@ def test_the_axis_files_backlash_is_named_as_sets_name_it(
     parameter_: str | None, acceleration: str | None, addresses: tuple[str, ...]
 ) -> None:
     axis = SimpleNamespace(backlash=SimpleNamespace(parameter=parameter_, acceleration=acceleration))
-    assert _backlash_of(cast(Any, axis)) == addresses
-    assert _backlash_of(cast(Any, SimpleNamespace(backlash=None))) == ()
+    assert backlash_addresses(cast(Any, axis)) == addresses
+    assert backlash_addresses(cast(Any, SimpleNamespace(backlash=None))) == ()
 
 
 def test_tables_that_leave_the_reversal_alone_object_to_nothing() -> None:

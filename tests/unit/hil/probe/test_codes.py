@@ -206,9 +206,9 @@ class At:
             control_wires(self.config, session.drives) as wires,
         ):
             now = datetime(2026, 1, 1, tzinfo=UTC)
-            return serve_codes(session, wires, self.store, lambda: now, times=times, wait_s=wait_s, keep=self._keep)
+            return serve_codes(session, wires, self.store, lambda: now, times=times, wait_s=wait_s, keep=self.note)
 
-    def _keep(self, handled: HandledCode) -> None:
+    def note(self, handled: HandledCode) -> None:
         self.kept.append(handled)
         assert self.wires.outputs == 1 << 16
         self.power_at_mfin.append(any(servo.powered for servo in self.bench.servos.values()))

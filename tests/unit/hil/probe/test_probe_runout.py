@@ -181,12 +181,12 @@ class _Stuck:
     """A signal that does not go away once it has come."""
 
     def __init__(self, drive: VirtualDrive) -> None:
-        self._drive = drive
-        self._seen = False
+        self.drive = drive
+        self.seen = False
 
     def touching(self) -> bool:
-        self._seen = self._seen or bool(self._drive.probe.inputs & 1)
-        return self._seen
+        self.seen = self.seen or bool(self.drive.probe.inputs & 1)
+        return self.seen
 
 
 def test_a_probe_that_does_not_release_stops_the_way_back(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,10 @@ from hil.records.zero import Reference, Zero, ZeroError, ZeroKeeper, homing_risk
 
 REFERENCE = Reference(20.0, -3.25, "umd", 1000, "2026-03-01T08:00:00+00:00")
 ZERO = Zero("ab" * 16, "X", "2026-03-01T07:59:00+00:00", {"serial": 7}, True, 37, 0.0, REFERENCE)
+
+
+def ago(hours: float) -> str:
+    return (datetime.now(UTC) - timedelta(hours=hours)).isoformat()
 
 
 @dataclass
@@ -177,10 +182,9 @@ def test_an_instrument_is_believed_while_it_has_run_on(tmp_path: Path, sequence:
     begin(one, drive)
     now = read_zero(one.path) or one.current
     assert now is not None
-    day_before = Reference(20.0, -3.25, "umd", 1000, "2026-03-01T08:00:00+00:00")
+    day_before = Reference(20.0, -3.25, "umd", 1000, ago(24.0))
     write_zero(one.path, replace(now, reference=day_before))
     begin(one, drive)
-    one._begun = "2026-03-02T08:00:00+00:00"
     if refused:
         with pytest.raises(ZeroError, match="finds the reference position"):
             one.at_reference(20.0, 5.0, sequence, 50.0)
@@ -204,7 +208,6 @@ def test_a_drive_that_was_homed_by_another_program_is_not_believed_by_its_word(
     write_zero(one.path, replace(ZERO, homes=homes))
     kept = one.path.read_bytes()
     begin(one, drive, homes=homes)
-    one._begun = "2026-03-02T08:00:00+00:00"
     if absolute:
         one.at_reference(20.0, 55.0, 100, 50.0)  # a stated fact, whoever homes
         return
@@ -223,9 +226,8 @@ def test_a_drive_that_was_homed_by_another_program_is_found_by_an_instrument_tha
 ) -> None:
     drive = Drive(homed=True)
     one = keeper(tmp_path, drive)
-    write_zero(one.path, replace(ZERO, homes=homes))
+    write_zero(one.path, replace(ZERO, homes=homes, reference=replace(REFERENCE, time=ago(1.0))))
     begin(one, drive, homes=homes)
-    one._begun = "2026-03-01T09:00:00+00:00"
     with pytest.raises(ZeroError, match=r"\+58\.2500 mm from where it was"):
         one.at_reference(20.0, 55.0, 1000 + 180_000, 50.0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,6 +17,7 @@ from support.modbus_parameters import NEW, OLD, FortyFace, write_map
 from support.two_axes import lay_out_axes
 
 import hil
+from drivers.canopen.drive import CanOpenDrive
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from hil.app.main import main
@@ -165,15 +166,16 @@ def test_ctrl_c_stops_the_axis_keeps_the_rows_and_the_job_goes_on(path: Path) ->
 def test_an_error_of_the_script_stops_and_disables(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stops: list[str] = []
 
+    def telling(order: str, does: Callable[[CanOpenDrive], None]) -> None:
+        monkeypatch.setattr(CanOpenDrive, does.__name__, lambda drive: (stops.append(order), does(drive)))
+
     def goes_wrong() -> None:
         with hil.open(path) as axis:
             axis.home()
-            drive = axis._require().drive
-            quick_stop, disable = drive.quick_stop, drive.disable
-            monkeypatch.setattr(drive, "quick_stop", lambda: (stops.append("stop"), quick_stop()))
-            monkeypatch.setattr(drive, "disable", lambda: (stops.append("off"), disable()))
             raise ZeroDivisionError
 
+    telling("stop", CanOpenDrive.quick_stop)
+    telling("off", CanOpenDrive.disable)
     with pytest.raises(ZeroDivisionError):
         goes_wrong()
     assert stops[:2] == ["stop", "off"]

@@ -1,4 +1,4 @@
-"""Contrast of the screen's colours, by WCAG 2.1: text 4.5 or more, signs and lines 3 or more, in dark and light."""
+"""Contrast of the colours of screen and report, by WCAG 2.1: text 4.5 or more, signs and lines 3 or more, in dark and light."""
 
 from __future__ import annotations
 
@@ -69,3 +69,16 @@ def test_texts_signs_and_curves_are_legible(dark: bool) -> None:
     ]
     poor += [f"STOP: {contrast('#ffffff', known['stop']):.2f}"] * (contrast("#ffffff", known["stop"]) < 4.5)
     assert not poor
+
+
+def test_a_report_is_legible_in_light_dark_and_print() -> None:
+    style = files("hil.ui.report").joinpath("style.css").read_text(encoding="utf-8")
+    blocks = re.findall(r":root \{(.*?)\}", style, flags=re.DOTALL)
+    assert len(blocks) == 3
+    for block in blocks:
+        known = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
+        for ground in (known["page"], known["panel"]):
+            for name in ("ink", "muted", "good", "warn", "plot-ink", "plot-muted"):
+                assert contrast(known[name], ground) >= 4.5, name
+            for name in ("plot-up", "plot-down", "plot-accent", "plot-band"):
+                assert contrast(known[name], ground) >= 3.0, name

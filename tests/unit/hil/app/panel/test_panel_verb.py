@@ -1,6 +1,5 @@
 """What `hil panel` refuses before it listens anywhere."""
 
-import argparse
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +8,7 @@ import pytest
 from support.bench_axis import lay_out
 
 from hil.app.main import main
-from hil.app.panel import command
+from hil.app.panel.server import Access
 
 
 @pytest.mark.parametrize(
@@ -55,15 +54,20 @@ def test_a_token_that_others_can_read_or_guess_is_refused(
 
 
 @pytest.mark.parametrize("names", [[], ["mill.example"]])
-def test_another_name_of_loopback_asks_for_the_token(names: list[str], tmp_path: Path) -> None:
+def test_another_name_of_loopback_asks_for_the_token(
+    names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served: list[Access] = []
+    monkeypatch.setattr("hil.app.panel.server.serve", lambda _desks, access, *_: served.append(access))
     path = tmp_path / "token"
-    args = argparse.Namespace(bind="127.0.0.1", name=names, cert=None, key=None, token_file=str(path))
-    tls, token = command._access(args)
-    assert tls is None
-    assert (token is not None) == bool(names)
+    named = [word for name in names for word in ("--name", name)]
+    assert main(["panel", str(lay_out(tmp_path)), *named, "--token-file", str(path)]) == 0
+    (access,) = served
+    assert access.tls is None
+    assert (access.token is not None) == bool(names)
     if names:
-        assert token == path.read_text().strip()
-        assert len(token) >= 22
+        assert access.token == path.read_text().strip()
+        assert len(access.token) >= 22
         assert path.stat().st_mode & 0o777 == 0o600
 
 

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from nicegui import Client, core
-from nicegui.element import Element
+from nicegui import Client
 from nicegui.page import page
+from support.screen import begun_by, inside
 
 from hil.app.panel.question import draw_question
 from hil.desk.asking import Pending
@@ -69,19 +69,10 @@ def test_only_whoever_holds_control_can_answer() -> None:
     assert "dasselbe noch einmal messen" in elsewhere["ask.words"].text
     assert (elsewhere["buttons"].visible, elsewhere["ask.elsewhere"].visible) == (False, True)
     mine = drawn(desk, "de")
-    asyncio.run(pressed(mine["ask.no"], mine["ask.yes"]))
+
+    async def answers() -> None:
+        for button in (mine["ask.no"], mine["ask.yes"]):
+            await asyncio.gather(*begun_by(button))
+
+    inside(answers)
     assert desk.answers == [(MINE, 7, False), (MINE, 7, True)]
-
-
-async def pressed(*buttons: Element) -> None:
-    """One after the other."""
-    core.loop = asyncio.get_running_loop()
-    try:
-        for button in buttons:
-            for listener in button._event_listeners.values():
-                cast(Any, listener.handler)(None)
-            async with asyncio.timeout(60.0):
-                while len(asyncio.all_tasks()) > 1:
-                    await asyncio.sleep(0)
-    finally:
-        core.loop = None

@@ -17,15 +17,13 @@ from matplotlib.figure import FigureBase
 from matplotlib.patches import Rectangle
 from pypdfium2 import raw
 
-from drivers.errors import InputError
 from hil.correction.tables import Band
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.records.rows import Records
-from hil.ui.report import pdf
-from hil.ui.report.blocks import Bullets, DataTable, Drawing, Facts, Finding, Heading, Table, Tile, Tiles, said
+from hil.ui.report.blocks import Bullets, DataTable, Drawing, Facts, Finding, Heading, Table, said
 from hil.ui.report.data import NamedCampaign, ReportData, TableInForce
 from hil.ui.report.document import render_html
-from hil.ui.report.pdf import groups, on_paper, render_pdf, write
+from hil.ui.report.pdf import on_paper, render_pdf, write
 from hil.ui.report.svg import Ground, Theme, figure_on
 
 
@@ -204,21 +202,6 @@ def test_words_too_long_for_a_line_are_cut_and_lose_no_letter() -> None:
         check_room(sheet)
 
 
-def test_tiles_stand_side_by_side_in_their_boxes() -> None:
-    tiles = Tiles(tuple(Tile(f"name{n}", f"{n}.25", "µm", "as found 1.00 µm", "-12 %", True) for n in range(9)))
-    (sheet,) = read(write([tiles], "title"))
-    assert [word for word in sheet.words if word.startswith("name")] == [f"name{n}" for n in range(9)]
-    check_room(sheet)
-
-
-def test_columns_that_do_not_fit_form_groups_with_the_first_one_in_each() -> None:
-    first, wide = ("row", "1"), "w" * 40
-    a, b, c = ("a", wide), ("b", wide), ("c", wide)
-    assert groups(first, [a]) == [[first, a]]
-    assert groups(first, [a, b, c]) == [[first, a, b], [first, c]]
-    assert groups(first, [("x" * 400,), a]) == [[first, ("x" * 400,)], [first, a]]
-
-
 def data_table(columns: int, rows: int, **more: bool) -> DataTable:
     values = {f"long_name_of_column_{n}_mm": np.arange(rows) + 1000.0 * n for n in range(columns)}
     return DataTable("data", "Data", values, **more)
@@ -281,25 +264,3 @@ def test_other_processes_give_the_same_bytes() -> None:
             [sys.executable, "-c", script], env=environment, capture_output=True, text=True, check=True
         )
         assert done.stdout.strip() == expected
-
-
-@pytest.mark.parametrize(
-    ("error", "says"),
-    [
-        (ModuleNotFoundError("No module named 'weasyprint'"), "pip install 'hil[report-pdf]'"),
-        (OSError("cannot load library 'libpango-1.0-0'"), "apt-get install libpango-1.0-0"),
-    ],
-)
-def test_without_the_renderer_one_line_says_what_to_install(
-    error: Exception, says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def missing(name: str) -> None:
-        print(f"advice on {name}")
-        raise error
-
-    monkeypatch.setattr(pdf, "import_module", missing)
-    with pytest.raises(InputError) as caught:
-        render_pdf(whole())
-    assert says in str(caught.value)
-    assert "\n" not in str(caught.value)
-    assert capsys.readouterr().out == ""

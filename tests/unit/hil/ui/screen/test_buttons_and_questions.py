@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+import queue
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 from nicegui import ui
-from nicegui.element import Element
 from support import backlash_axis
-from support.bench_axis import lay_out
-from support.screen import Screen, inside
+from support.bench_axis import PASSWORDS, lay_out, write_keys
+from support.screen import Screen, begun_by, inside, is_visible
 
 from hil.app.panel.bar import draw_bar
 from hil.app.panel.pages import PAGES, overview
@@ -20,10 +21,9 @@ from hil.backlash import page as backlash
 from hil.calibration import page as calibrate
 from hil.calibration.job import UNCORRECTED, VERIFY
 from hil.desk.desk import Desk
-from hil.desk.job import Job
+from hil.desk.job import Job, Workplace
 from hil.desk.plan import Move, Plan
 from hil.desk.progress import JobLog, Phase
-from hil.desk.roles import Role
 from hil.diagnosis import page as diagnosis
 from hil.lost_motion import page as lost_motion
 from hil.machine.events import Event
@@ -44,14 +44,34 @@ FIXES = ".fix.control"
 Until = Callable[[Callable[[], bool], str], None]
 
 
-def is_visible(element: Element) -> bool:
-    around = element.parent_slot
-    return element.visible and (around is None or is_visible(around.parent))
-
-
 @pytest.fixture
 def desk(tmp_path: Path) -> Desk:
     return Desk(load_axis(lay_out(tmp_path)))
+
+
+@contextmanager
+def running(
+    desk: Desk, token: str, kind: str, until: Until, moves: tuple[Move, ...] = ()
+) -> Iterator[Callable[[Event], None]]:
+    """A job of this kind on a connected axis, until its block is left; what is called passes an event on from it."""
+    events = queue.Queue[Event | None]()
+
+    def work(place: Workplace) -> None:
+        for event in iter(events.get, None):
+            place.listener(event)
+            events.task_done()
+
+    def tell(event: Event) -> None:
+        events.put(event)
+        events.join()
+
+    until(lambda: desk.live.connected, "the axis is connected")
+    desk.run(token, Job(kind, Plan("X", "bench", moves), work))
+    try:
+        yield tell
+    finally:
+        events.put(None)
+        until(lambda: not desk.job().running, "the job is over")  # type: ignore[union-attr]
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if not page.several], ids=lambda page: page.name)
@@ -90,22 +110,24 @@ def test_power_off_and_reset_fault_say_what_they_miss(tmp_path: Path, until: Unt
 
 
 @pytest.mark.parametrize(("kind", "with_it"), [(UNCORRECTED, False), (VERIFY, True)])
-def test_the_switch_of_the_correction_says_how_the_verification_runs(kind: str, with_it: bool, desk: Desk) -> None:
+def test_the_switch_of_the_correction_says_how_the_verification_runs(
+    kind: str, with_it: bool, desk: Desk, until: Until
+) -> None:
     """After a reload too; it can be set again once the run is over."""
 
     async def work() -> None:
-        log = JobLog(1, kind, Plan("X", "bench"))
-        desk._log = desk._last[kind] = log
-        screen = Screen(desk, calibrate.draw, token=desk.control.take("test"))
-        switch = screen.named("calibrate.correction")
-        assert switch.value is with_it
-        await screen.refreshes()
-        assert (switch.value, switch.enabled) == (with_it, False)
-        log.end(Phase.DONE)
+        token = desk.control.take("test")
+        with running(desk, token, kind, until):
+            screen = Screen(desk, calibrate.draw, token=token)
+            switch = screen.named("calibrate.correction")
+            assert switch.value is with_it
+            await screen.refreshes()
+            assert (switch.value, switch.enabled) == (with_it, False)
         await screen.refreshes()
         assert switch.enabled
 
-    inside(work)
+    with desk:
+        inside(work)
 
 
 @pytest.mark.parametrize(("done", "total"), [(0, 0), (47, 50), (50, 50)])
@@ -156,11 +178,9 @@ def test_a_loop_with_passes_in_motion_has_their_steps_too() -> None:
 
 
 @pytest.mark.parametrize("language", LANGUAGES)
-def test_the_bar_names_job_and_step(language: str, desk: Desk) -> None:
+def test_the_bar_names_job_and_step(language: str, desk: Desk, until: Until) -> None:
     async def work() -> None:
-        log = JobLog(1, "calibrate", Plan("X", "bench"))
-        desk._log = desk._last["calibrate"] = log
-        log.hear(Event("round-1", "20.000 mm", 3, 16))
+        tell(Event("round-1", "20.000 mm", 3, 16))
         screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]), language)
         t = Texts(language)
         assert screen.named("header.job").text == t("job.calibrate")
@@ -168,7 +188,8 @@ def test_the_bar_names_job_and_step(language: str, desk: Desk) -> None:
         said = f"{t.said('20.000')} mm (3/16)"
         assert screen.named("header.step").text == f"{t('pass.round', number=1)}: {said}"
 
-    inside(work)
+    with desk, running(desk, desk.control.take("test"), "calibrate", until) as tell:
+        inside(work)
 
 
 @pytest.mark.parametrize(
@@ -181,7 +202,7 @@ def test_the_bar_names_job_and_step(language: str, desk: Desk) -> None:
         ("close-loop in motion", ["measure", "after-1", "motion-before", "diagnose", "motion-after"]),
     ],
 )
-def test_the_bar_counts_the_tiles_that_the_page_shows(name: str, stages: list[str], desk: Desk) -> None:
+def test_the_bar_counts_the_tiles_that_the_page_shows(name: str, stages: list[str], desk: Desk, until: Until) -> None:
     kind, _, moving = name.partition(" in ")
     page, title = {"lost motion": (lost_motion.draw, "lost_motion"), "close-loop": (diagnosis.draw, "loop")}.get(
         kind, (calibrate.draw, "calibrate")
@@ -189,18 +210,17 @@ def test_the_bar_counts_the_tiles_that_the_page_shows(name: str, stages: list[st
     moves = (Move("feeds 20", 0.0, 1.0, 20.0),) if moving else ()
 
     async def work() -> None:
-        log = JobLog(1, kind, Plan("X", "bench", moves))
-        desk._log = desk._last[kind] = log
         screen = Screen(desk, lambda view: (draw_bar(view, PAGES[0]), page(view)))
         refresh = screen.quick_timers()
         for stage in stages:
-            log.hear(Event(stage, done=1, total=9))
+            tell(Event(stage, done=1, total=9))
             refresh()
             tiles = [one for one in screen.named(f"{title}.steps").default_slot.children if one.visible]
             now = [number for number, one in enumerate(tiles, start=1) if "now" in one.classes]
             assert screen.named("header.number").text == Texts("en")("bar.step", number=now[0], count=len(tiles)), stage
 
-    inside(work)
+    with desk, running(desk, desk.control.take("test"), kind, until, moves) as tell:
+        inside(work)
 
 
 @pytest.mark.parametrize(("reached", "percent", "colour"), [(True, "100 %", "done"), (False, "", "without_result")])
@@ -236,10 +256,11 @@ async def asked(screen: Screen) -> list[str]:
 
 
 def test_a_question_before_writing_names_parameter_old_and_new_value_and_unit(tmp_path: Path, until: Until) -> None:
+    write_keys(tmp_path)
     with Desk(load_drive_axis(backlash_axis.lay_out(tmp_path, "canopen")), pace=0.0) as connected:
         until(lambda: connected.live.connected, "the axis is looked at")
         token = connected.control.take("test")
-        connected.rights._role = Role.BUILDER
+        connected.become_builder(token, PASSWORDS["HIL_KEY_PASSWORD"])
         how = backlash.backlash.backlash_config(connected.axis)
         connected.run(token, backlash.backlash.measuring_job(connected.axis, how))
         until(lambda: not connected.job().running, "it is measured")  # type: ignore[union-attr]
@@ -281,10 +302,11 @@ def test_a_question_before_writing_names_parameter_old_and_new_value_and_unit(tm
 def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(
     searched: str, typed: str, answer: str, tmp_path: Path, until: Until
 ) -> None:
+    write_keys(tmp_path)
     with Desk(load_drive_axis(backlash_axis.lay_out(tmp_path, "canopen")), pace=0.0) as connected:
         until(lambda: connected.live.connected, "the axis is looked at")
         token = connected.control.take("test")
-        connected.rights._role = Role.BUILDER
+        connected.become_builder(token, PASSWORDS["HIL_KEY_PASSWORD"])
         connected.run(token, parameters.parameters.read_job(connected.axis))
         until(lambda: not connected.job().running, "it is read")  # type: ignore[union-attr]
         until(lambda: connected.live.connected, "the axis is looked at again")
@@ -295,9 +317,7 @@ def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(
             refresh()
             screen.named("parameters.search").set_value(searched)
             assert len(screen.named("parameters.all").rows) < 5
-            for listener in screen.named("parameters.search")._event_listeners.values():
-                if listener.type == "keydown.enter":
-                    listener.handler()  # the first that was found
+            begun_by(screen.named("parameters.search"), "keydown.enter")  # the first that was found
             refresh()
             if not typed:
                 assert answer in screen.named("parameters.edit.what").text

@@ -8,9 +8,8 @@ from typing import Any, cast
 
 import pytest
 from nicegui import ui
-from nicegui.events import UploadEventArguments
 from support.bench_axis import lay_out
-from support.screen import Draw, Screen, inside
+from support.screen import Draw, Screen, brought, inside
 
 from hil.app.panel.frame import Page, draw_page
 from hil.axis.axis_file import load_axis
@@ -129,10 +128,10 @@ class Brought:
     read_times = 0
 
     def __init__(self, size_bytes: int) -> None:
-        self._size_bytes = size_bytes
+        self.size_bytes = size_bytes
 
     def size(self) -> int:
-        return self._size_bytes
+        return self.size_bytes
 
     async def read(self) -> bytes:
         self.read_times += 1
@@ -153,8 +152,7 @@ def test_a_file_is_read_only_from_the_holder_of_control_and_not_too_large(
     async def work() -> None:
         screen = Screen(desk, parameters.draw, token=desk.control.take("test") if in_control else None)
         (upload,), file = screen.all(ui.upload), Brought(size_bytes)
-        (handler,) = upload._upload_handlers
-        await handler(UploadEventArguments(sender=upload, client=screen.client, file=cast(Any, file)))
+        await brought(upload, file)
         (told,) = screen.told()
         assert word in told
         assert file.read_times == read_times

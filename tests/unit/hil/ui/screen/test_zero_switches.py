@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from nicegui import Client
-from nicegui.page import page
 from support.bench_axis import lay_out
-from support.screen import inside
+from support.screen import Draw, Screen, inside
 
 from drivers.errors import InputError, LinkLostError
 from hil.axis.axis_file import load_axis
@@ -27,9 +23,8 @@ from hil.diagnosis.loop.job import loop_job
 from hil.diagnosis.loop.procedure import Turning
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion import page as lost_motion_page
-from hil.ui.screen.browsers import Browser
 from hil.ui.screen.pieces import Reading
-from hil.ui.screen.texts import LANGUAGES, Texts
+from hil.ui.screen.texts import LANGUAGES
 from hil.ui.screen.view import View
 
 
@@ -38,31 +33,18 @@ def desk(tmp_path: Path) -> Desk:
     return Desk(load_axis(lay_out(tmp_path)))
 
 
-class Screen:
+class Answered(Screen):
     """A page whose jobs are answered `yes` and not run."""
 
-    def __init__(
-        self, monkeypatch: pytest.MonkeyPatch, desk: Desk, draw: Callable[[View], object], language: str = "en"
-    ) -> None:
-        self.client = Client(page("/"), request=None)
-        self.view = View(desk, (desk,), Texts(language), Browser(1, language), self.client)
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, desk: Desk, draw: Draw, language: str = "en") -> None:
         self.yes, self.jobs = True, list[Job]()
-        monkeypatch.setattr(View, "ask_and_run", lambda _view, job: self._ask_and_run(job))
-        with self.client:
-            draw(self.view)
 
-    async def _ask_and_run(self, job: Job) -> bool:
-        self.jobs.append(job)
-        return self.yes
+        async def answer(_view: View, job: Job) -> bool:
+            self.jobs.append(job)
+            return self.yes
 
-    def named(self, name: str) -> Any:
-        return next(one for one in self.client.elements.values() if one.props.get("data-name") == name)
-
-    async def presses(self, name: str) -> None:
-        before = asyncio.all_tasks()
-        for listener in self.named(name)._event_listeners.values():
-            listener.handler(None)
-        await asyncio.gather(*(asyncio.all_tasks() - before))
+        monkeypatch.setattr(View, "ask_and_run", answer)
+        super().__init__(desk, draw, language)
 
 
 def draw_loop(view: View) -> None:
@@ -74,7 +56,7 @@ def test_a_new_zero_is_asked_for_by_a_switch_named_in_the_question_and_switched_
     desk: Desk, monkeypatch: pytest.MonkeyPatch, language: str
 ) -> None:
     async def work() -> None:
-        screen = Screen(monkeypatch, desk, calibrate_page.draw, language)
+        screen = Answered(monkeypatch, desk, calibrate_page.draw, language)
         t = screen.view.t
         switches = [screen.named(f"calibrate.{name}") for name in ("new_zero", "instrument_zeroed")]
         await screen.presses("calibrate.start")
@@ -104,10 +86,10 @@ def test_a_new_zero_is_asked_for_by_a_switch_named_in_the_question_and_switched_
     ],
 )
 def test_every_job_that_the_terminal_lets_be_told_of_the_instrument_can_be_told_here(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, draw: Callable[[View], object], name: str, button: str
+    desk: Desk, monkeypatch: pytest.MonkeyPatch, draw: Draw, name: str, button: str
 ) -> None:
     async def work() -> None:
-        screen = Screen(monkeypatch, desk, draw)
+        screen = Answered(monkeypatch, desk, draw)
         screen.named(f"{name}.instrument_zeroed").value = True
         await screen.presses(button)
         plan = screen.jobs[-1].plan
