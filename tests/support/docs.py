@@ -6,7 +6,7 @@ A block is told by its info string:
     sh ci           commands that `.ci/run` runs
     sh hardware     commands for a real machine; a test parses them
     sh parsed       commands that run until they are stopped, or ask on the terminal; a test parses them
-    toml NAME       the file NAME of that folder
+    toml NAME       the file NAME of that folder; python NAME alike
     text COMMAND    what COMMAND of this page prints; a line "…" stands for any lines. `python tests/study/docs_output.py` rewrites it
 
 A command that ends with another exit status than 0, or may, says so: "# exit status 1", "# exit status 0 or 1".
@@ -87,13 +87,16 @@ def statuses_of(command: str) -> set[int]:
 
 def run_page(page: str, folder: Path) -> dict[str, str]:
     """Run the commands of a page in a folder; what each printed, by command. Raises AssertionError at the first that fails."""
-    commands: list[str] = []
+    lay_files(page, folder)
+    found = blocks(PAGES[page].read_text(encoding="utf-8"))
+    return run_commands([line for block in found if block.info == ("sh",) for line in block.commands], folder, page)
+
+
+def lay_files(page: str, folder: Path) -> None:
+    """Write the files that a page shows into a folder."""
     for block in blocks(PAGES[page].read_text(encoding="utf-8")):
-        if block.info[:1] == ("toml",) and len(block.info) > 1:
+        if block.info[:1] in (("toml",), ("python",)) and len(block.info) > 1:
             (folder / block.info[1]).write_text(block.text, encoding="utf-8")
-        if block.info == ("sh",):
-            commands += block.commands
-    return run_commands(commands, folder, page)
 
 
 def run_commands(commands: Sequence[str], folder: Path, page: str) -> dict[str, str]:

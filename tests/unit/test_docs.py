@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from study import axis_reference
-from support.docs import PAGES, ROOT, blocks, hil_lines
+from support.docs import PAGES, ROOT, blocks, hil_lines, lay_files
 
 from hil.app.help import pages
 from hil.app.main import VERBS, build_parser, main
@@ -25,7 +25,11 @@ def text_of(page: str) -> str:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_every_command_is_one_that_the_program_understands(page: str) -> None:
+def test_every_command_is_one_that_the_program_understands(
+    page: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lay_files(page, tmp_path)  # a procedure's parameters are options
+    monkeypatch.chdir(tmp_path)
     for block in blocks(text_of(page)):
         assert (block.info[:1] or ("",))[0] in KINDS, f"{page}:{block.line}"
         if block.info[:1] == ("sh",):
@@ -137,3 +141,8 @@ def test_every_row_of_what_is_proven_has_its_command() -> None:
     for what, figure, command in (row for row in rows if row[0].strip() != "What"):
         assert "`" in command or "](" in command or command == " the same ", what
         assert figure.strip(), what
+
+
+def test_the_procedure_of_the_page_on_scripts_is_the_example() -> None:
+    shown = next(block for block in blocks(text_of("scripts")) if block.info == ("python", "creep.py"))
+    assert (ROOT / "hil/examples/creep.py").read_text(encoding="utf-8").endswith(shown.text)
