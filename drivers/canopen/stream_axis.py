@@ -14,10 +14,10 @@ import can
 from drivers.canopen.node import Node
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup
-from drivers.canopen.power import PowerStage
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
 from drivers.cia402.objects import Entry
+from drivers.cia402.power import PowerStage
 from drivers.cia402.state_machine import Command, Control, Status, decode_state
 from drivers.drive import FAULTS, DriveLimits, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError

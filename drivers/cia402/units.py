@@ -17,7 +17,7 @@ from functools import partial
 
 from drivers.cia402 import objects
 from drivers.cia402.objects import Entry
-from drivers.cia402.wire import Objects
+from drivers.cia402.wire import ObjectAccess
 from drivers.scaling import AxisScaling, MotionScaling, MotionUnit, ReportedScaling, motion_unit
 
 METRE = 0x01  # the unit in bits 16 to 23 of 60A8h (CiA-303-2); bits 24 to 31 are its power of ten
@@ -25,9 +25,9 @@ MM_PER_M = 1000
 UM_PER_MM = 1000
 
 
-def read_units(device: Objects) -> ReportedScaling:
+def read_units(access: ObjectAccess) -> ReportedScaling:
     """Read the objects. Raises NoAnswerError, ProtocolError; an object that is missing or zero becomes None."""
-    read = partial(device.read_if_shown, absent=None)
+    read = partial(access.read_if_shown, absent=None)
     encoder = _ratio(read, objects.ENCODER_INCREMENTS, objects.ENCODER_REVOLUTIONS)
     if encoder == 1:  # as delivered, never set
         encoder = None

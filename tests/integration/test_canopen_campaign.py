@@ -18,9 +18,9 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
-from drivers.canopen.power import PowerTimes
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.cia402 import objects
+from drivers.cia402.power import PowerTimes
 from drivers.drive import DriveLimits, DriveSample, DriveState
 from drivers.errors import (
     AbortError,

@@ -27,7 +27,7 @@ from study.profiles_matrix import (
     trial_of,
 )
 
-from drivers.canopen.settings import HomingSettings
+from drivers.cia402.homing import HomingSettings
 from drivers.cia402.modes import Mode
 from drivers.drive import Capability, DriveLimits, DriveState, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, InputError, ProtocolError

@@ -37,8 +37,8 @@ if not __package__:
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.power import PowerTimes
 from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.cia402.power import PowerTimes
 from drivers.drive import DriveLimits
 from drivers.errors import BridgeError
 from drivers.scaling import AxisScaling

@@ -28,7 +28,8 @@ if not __package__:
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.settings import CanOpenSettings, HomingSettings
+from drivers.canopen.settings import CanOpenSettings
+from drivers.cia402.homing import HomingSettings
 from drivers.drive import Capability, DriveLimits
 from drivers.errors import BridgeError, CapabilityError
 from drivers.scaling import AxisScaling

@@ -23,7 +23,7 @@ from study.makers_matrix import LEAD_MM, NODE, NOT_RESTORED, TOO_FAST, Row, Tria
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.scan import scan
-from drivers.canopen.settings import HomingSettings
+from drivers.cia402.homing import HomingSettings
 from drivers.drive import DriveState
 from hil.app.main import main
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key

@@ -14,10 +14,10 @@ import pytest
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.eds import load_eds
-from drivers.canopen.power import PowerTimes
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from drivers.cia402.modes import Mode
+from drivers.cia402.power import PowerTimes
 from drivers.drive import Capability, DriveLimits, DriveState, DriveZero
 from drivers.errors import (
     CapabilityError,

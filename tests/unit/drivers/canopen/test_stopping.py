@@ -16,11 +16,12 @@ import pytest
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
-from drivers.canopen.power import PowerTimes
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
+from drivers.cia402.motion_parts import MoveOrder
+from drivers.cia402.power import PowerTimes
 from drivers.clock import WallClock
 from drivers.drive import DriveLimits, DriveState
 from drivers.errors import (
@@ -333,7 +334,7 @@ def test_no_order_enables_the_axis_after_a_stop(make: MakeRig, option: int) -> N
     rig = make(parameters={(0x605A, 0): option})
     drive = rig.moving()
     drive.send_stop()
-    for order in (drive.motion.halt, lambda: drive.motion.move(0, 100_000, 1_000_000)):
+    for order in (drive.motion.halt, lambda: drive.motion.move(MoveOrder(0, 100_000, 1_000_000))):
         with pytest.raises(StateError, match="was told to stop; it takes orders again once it is enabled anew"):
             order()
     rig.clock.sleep_s(0.5)

@@ -8,17 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from drivers.canopen.sdo import SdoClient
 from drivers.cia402.error_codes import error_text
 from drivers.cia402.objects import CONTROLWORD, ERROR_CODE, STATUSWORD
 from drivers.cia402.state_machine import DISABLE_STEPS, ENABLE_STEPS, Command, Control, Status, decode_state
+from drivers.cia402.wire import ObjectAccess
 from drivers.clock import NS_PER_S, Clock
 from drivers.drive import FAULTS, DriveState
 from drivers.errors import AbortError, DriveFaultError, MotionTimeoutError, NoAnswerError, StateError
 from drivers.way_out import WayOut
 
 POLL_S = 0.002
-ENABLING = Command.ENABLE_OPERATION.word
+RUN = Command.ENABLE_OPERATION.word
 STANDS_S = 0.002
 """Time for which a controlword stands before one whose rising edge acts, s: a drive may look at it every millisecond only, and of two
 that are closer it sees the second alone."""
@@ -43,8 +43,8 @@ class PowerStage:
     quick stop active "enable operation" makes the axis continue (transition 16). Any thread may set it.
     """
 
-    def __init__(self, sdo: SdoClient, clock: Clock, times: PowerTimes, way_out: WayOut) -> None:
-        self._sdo = sdo
+    def __init__(self, access: ObjectAccess, clock: Clock, times: PowerTimes, way_out: WayOut) -> None:
+        self._access = access
         self._way_out = way_out
         self._clock = clock
         self.times = times
@@ -54,20 +54,20 @@ class PowerStage:
 
     @property
     def _name(self) -> str:
-        return self._sdo.name
+        return self._access.name
 
     def statusword(self) -> int:
-        """6041h, read now. Raises as `SdoClient.read`."""
-        return self._sdo.read(STATUSWORD)
+        """6041h, read now. Raises as `ObjectAccess.read`."""
+        return self._access.read(STATUSWORD)
 
     def state(self) -> DriveState:
         return decode_state(self.statusword())
 
     def write(self, controlword: int) -> None:
-        """Write 6040h and keep it. Raises StateError for a command that enables after a stop was sent, and as `SdoClient.write`."""
-        if self.stopped and controlword & ENABLING == ENABLING:
+        """Write 6040h and keep it. Raises StateError for a command that enables after a stop was sent, and as `ObjectAccess.write`."""
+        if self.stopped and controlword & RUN == RUN:
             raise StateError(f"{self._name} was told to stop; it takes orders again once it is enabled anew")
-        self._sdo.write(CONTROLWORD, controlword)
+        self._access.write(CONTROLWORD, controlword)
         self.controlword, self._written_ns = controlword, self._clock.now_ns()
 
     def write_edge(self, controlword: int) -> None:
@@ -80,7 +80,7 @@ class PowerStage:
     def error_code(self) -> int | None:
         """603Fh, None where the drive has no such object."""
         try:
-            return self._sdo.read(ERROR_CODE)
+            return self._access.read(ERROR_CODE)
         except (AbortError, NoAnswerError):
             return None
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import Entry
+from drivers.cia402.wire import ObjectAccess
 from drivers.errors import AbortError
 from drivers.undo import undo_all
 
@@ -22,20 +22,20 @@ TARGETS = (
 class KeptSettings:
     """written: values that the drive is known to hold."""
 
-    def __init__(self, sdo: SdoClient) -> None:
-        self._sdo = sdo
+    def __init__(self, access: ObjectAccess) -> None:
+        self._access = access
         self.written: dict[Entry, int] = {}
         self._found: dict[Entry, int] = {}  # before they were written
 
     def set(self, entry: Entry, value: int, *, always: bool = False) -> None:
-        """Write an object unless it is known to hold the value already. Raises as `SdoClient.write`."""
+        """Write an object unless it is known to hold the value already. Raises as `ObjectAccess.write`."""
         if not always and self.written.get(entry) == value:
             return
         self.written.pop(entry, None)
         known = entry in self._found
         self._remember(entry)
         try:
-            self._sdo.write(entry, value)
+            self._access.write(entry, value)
         except AbortError:
             if not known:  # refused, so there is nothing to put back
                 self._found.pop(entry, None)
@@ -46,11 +46,11 @@ class KeptSettings:
         if entry in self._found or entry in TARGETS:
             return
         try:
-            self._found[entry] = self._sdo.read(entry)
+            self._found[entry] = self._access.read(entry)
         except AbortError:
             if entry is not objects.MODE:
                 raise
-            self._found[entry] = self._sdo.read(objects.MODE_DISPLAY)  # 6060h may be write-only
+            self._found[entry] = self._access.read(objects.MODE_DISPLAY)  # 6060h may be write-only
 
     def put_back(self) -> None:
         """Restore mode, speeds and ramps on a disabled axis, the last one written first. Raises as `undo_all`."""
@@ -59,5 +59,5 @@ class KeptSettings:
 
     def _put_back(self, entry: Entry, value: int) -> None:
         if self.written.pop(entry, None) != value:
-            self._sdo.write(entry, value)
+            self._access.write(entry, value)
         del self._found[entry]

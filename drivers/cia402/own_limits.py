@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from drivers.canopen.kept_settings import KeptSettings
-from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects, words
+from drivers.cia402.kept_settings import KeptSettings
 from drivers.cia402.objects import Entry
-from drivers.cia402.wire import LEFT_OUT, OUT_OF_RANGE
+from drivers.cia402.wire import LEFT_OUT, OUT_OF_RANGE, ObjectAccess
 from drivers.errors import AbortError, LimitError
 from drivers.scaling import MotionScaling
 
@@ -27,13 +26,13 @@ class OwnLimits:
 
     def __init__(
         self,
-        sdo: SdoClient,
+        access: ObjectAccess,
         kept: KeptSettings,
         units: MotionScaling,
         highest: Callable[[Entry], float | None],
         notes: list[str],
     ) -> None:
-        self._sdo = sdo
+        self._access = access
         self._kept = kept
         self._units = units
         self._highest = highest
@@ -45,7 +44,7 @@ class OwnLimits:
     def _limit(self, entry: Entry) -> int:
         """A limit that the drive states, in its units; 0 where it states none."""
         if entry not in self._stated:
-            self._stated[entry] = words.limit(self._sdo.read_if_shown(entry, 0)) or 0
+            self._stated[entry] = words.limit(self._access.read_if_shown(entry, 0)) or 0
         return self._stated[entry]
 
     def note(self, velocity_mm_s: float, acceleration_mm_s2: float) -> None:
@@ -53,12 +52,12 @@ class OwnLimits:
         largest = self._limit(objects.MAX_PROFILE_VELOCITY)
         if largest and self._units.mm_s(largest) < velocity_mm_s * (1 - SAME_SHARE):
             self._notes.append(
-                f"{self._sdo.name} allows {self._units.mm_s(largest):.4g} mm/s (607Fh), the axis file {velocity_mm_s:g} mm/s:"
+                f"{self._access.name} allows {self._units.mm_s(largest):.4g} mm/s (607Fh), the axis file {velocity_mm_s:g} mm/s:"
                 " faster moves are refused"
             )
         for entry in RAMPS:
             try:
-                self._sdo.read(entry)
+                self._access.read(entry)
             except AbortError as error:
                 if error.code in LEFT_OUT:
                     self._leave_out(entry)
@@ -68,7 +67,7 @@ class OwnLimits:
     def _leave_out(self, entry: Entry) -> None:
         self._left_out.add(entry)
         which = "6083h serves both ramps" if entry is objects.PROFILE_DECELERATION else "its own ramp holds"
-        self._notes.append(f"{self._sdo.name} does not take {entry}: {which}")
+        self._notes.append(f"{self._access.name} does not take {entry}: {which}")
 
     def _allowed(self, ramp: Entry, acceleration: int) -> int:
         """The ramp that the drive allows, in its units; noted once where that is less."""
@@ -76,7 +75,7 @@ class OwnLimits:
         value = min([acceleration, *(int(limit) for limit in limits if limit)])
         if value < acceleration:
             said = (
-                f"{self._sdo.name} allows {self._units.mm_s2(value):.4g} mm/s² ({ramp}) instead of the axis file's"
+                f"{self._access.name} allows {self._units.mm_s2(value):.4g} mm/s² ({ramp}) instead of the axis file's"
                 f" {self._units.mm_s2(acceleration):.4g} mm/s²: moves use what it allows"
             )
             if said not in self._notes:
@@ -93,7 +92,7 @@ class OwnLimits:
         ):
             if limit and velocity > limit:
                 raise LimitError(
-                    f"{self._sdo.name}: {self._units.mm_s(velocity):.4g} mm/s is more than its drive allows,"
+                    f"{self._access.name}: {self._units.mm_s(velocity):.4g} mm/s is more than its drive allows,"
                     f" {self._units.mm_s(limit):.4g} mm/s ({source})"
                 )
 

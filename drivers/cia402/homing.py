@@ -1,4 +1,4 @@
-"""Homing by a CANopen drive's own methods: starts it with its settings and follows it until it is attained or has failed.
+"""Homing by a drive's own methods: starts it with its settings and follows it until it is attained or has failed.
 
 Holds the objects and status bits of the homing mode. `drive` waits for its end and counts the attempts.
 
@@ -16,17 +16,16 @@ back).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from drivers.canopen.kept_settings import KeptSettings
-from drivers.canopen.motion import RUN, ProfileMotion
-from drivers.canopen.power import PowerStage
-from drivers.canopen.sdo import SdoClient
-from drivers.canopen.settings import HomingSettings
 from drivers.cia402 import objects
+from drivers.cia402.kept_settings import KeptSettings
 from drivers.cia402.modes import HomingStatus, Mode, decode_homing
+from drivers.cia402.motion import ProfileMotion
 from drivers.cia402.objects import Entry
+from drivers.cia402.power import RUN, PowerStage
 from drivers.cia402.state_machine import Control
-from drivers.cia402.wire import LEFT_OUT
+from drivers.cia402.wire import LEFT_OUT, ObjectAccess
 from drivers.clock import NS_PER_S
 from drivers.drive import TAKES_THE_PLACE
 from drivers.errors import AbortError, CapabilityError, DriveFaultError
@@ -39,17 +38,27 @@ SAME_PLACE = 2
 """Tolerance of the position of an axis at rest, counts: it may stand between two counts of its encoder."""
 
 
+@dataclass(frozen=True)
+class HomingSettings:
+    """Objects written before homing; a None is not written. mm/s, and load mm of the home position."""
+
+    method: int | None = None
+    speed_switch_mm_s: float | None = None
+    speed_zero_mm_s: float | None = None
+    home_position_mm: float | None = None
+
+
 class Homing:
     """Homing of one open drive. homed: since it was opened, or as the drive reports, None while that is unknown.
 
     under_way: begun, and its end not seen yet. without_bit_10: it has ended and bit 10 was not shown.
     """
 
-    def __init__(self, sdo: SdoClient, power: PowerStage, motion: ProfileMotion, kept: KeptSettings) -> None:
+    def __init__(self, access: ObjectAccess, power: PowerStage, motion: ProfileMotion, kept: KeptSettings) -> None:
         self.homed: bool | None = None
         self.under_way = self.without_bit_10 = False
         self._method: int | None = None
-        self._sdo = sdo
+        self._access = access
         self._power = power
         self._motion = motion
         self._kept = kept
@@ -74,10 +83,10 @@ class Homing:
             except AbortError as error:  # one speed may serve the whole homing
                 if entry is not objects.HOMING_SPEED_ZERO or error.code not in LEFT_OUT:
                     raise
-        self._method = self._sdo.read_if_shown(objects.HOMING_METHOD, 0)
+        self._method = self._access.read_if_shown(objects.HOMING_METHOD, 0)
         if homing.method is not None and self._method != homing.method:
             raise CapabilityError(
-                f"drive {self._sdo.name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
+                f"drive {self._access.name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
             )
         self._motion.set_mode(Mode.HOMING)
         self.homed, self.under_way, self.without_bit_10 = False, False, False
@@ -129,7 +138,7 @@ class Homing:
             self.under_way = False
             self._power.write(RUN)
             raise DriveFaultError(
-                f"drive {self._sdo.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
+                f"drive {self._access.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
             )
 
     def _end_attained(self) -> None:
@@ -138,7 +147,7 @@ class Homing:
         if not self._moved and self._method is not None and 0 < self._method < TAKES_THE_PLACE[0]:
             self._power.write(RUN)
             raise DriveFaultError(
-                f"drive {self._sdo.name}: homing failed: method {self._method} searches a switch or the index, and it is shown as"
+                f"drive {self._access.name}: homing failed: method {self._method} searches a switch or the index, and it is shown as"
                 " attained where the axis stood, without motion"
             )
         self.homed = True

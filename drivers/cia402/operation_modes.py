@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.canopen.kept_settings import KeptSettings
-from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
+from drivers.cia402.kept_settings import KeptSettings
 from drivers.cia402.modes import Mode
 from drivers.cia402.state_machine import decode_state
+from drivers.cia402.wire import ObjectAccess
 from drivers.clock import Clock
 from drivers.drive import FAULTS, WITHOUT_POWER
 from drivers.errors import AbortError, CapabilityError, ProtocolError
@@ -31,19 +31,19 @@ TRIED_MODES = (
 class OperationModes:
     """mode: the present one. longest_s: time limit for a change, s."""
 
-    def __init__(self, sdo: SdoClient, kept: KeptSettings, clock: Clock, longest_s: float) -> None:
-        self._sdo = sdo
+    def __init__(self, access: ObjectAccess, kept: KeptSettings, clock: Clock, longest_s: float) -> None:
+        self._access = access
         self._kept = kept
         self._clock = clock
         self._longest_s = longest_s
         self._supported = 0
-        shown = sdo.read(objects.MODE_DISPLAY)
+        shown = access.read(objects.MODE_DISPLAY)
         self.mode = Mode(shown) if shown in set(Mode) else Mode.NONE  # a maker's own, or an unknown one
 
     # -- which there are -------------------------------------------------------------------------------------------------
     def find(self, named: Sequence[int], notes: list[str]) -> None:
         """6502h, else the modes that the axis file names (of 6060h), else those that the drive takes at standstill, which is noted."""
-        self._supported = self._sdo.read_if_shown(objects.SUPPORTED_MODES, 0)
+        self._supported = self._access.read_if_shown(objects.SUPPORTED_MODES, 0)
         if self._supported:
             return
         if named:
@@ -52,12 +52,12 @@ class OperationModes:
         found = self._tried()
         names = ", ".join(mode.name.lower().replace("_", " ") for mode in found) or "none"
         how = "by trial at standstill" if found else "and it took none at standstill"
-        notes.append(f"{self._sdo.name} does not say its modes (6502h); {how}: {names}")
+        notes.append(f"{self._access.name} does not say its modes (6502h); {how}: {names}")
         self._supported = sum(mode.supported_bit for mode in found)
 
     def _tried(self) -> list[Mode]:
         """Modes that 6061h shows once they are written to 6060h. An axis under power is not tried with: it has the present mode."""
-        if not 0 <= self._sdo.read_if_shown(objects.MODE, self.mode) <= max(Mode):
+        if not 0 <= self._access.read_if_shown(objects.MODE, self.mode) <= max(Mode):
             return []  # a maker's own mode could perhaps not be put back
         if not self._is_off():
             return [self.mode] if self.mode is not Mode.NONE else []
@@ -91,7 +91,7 @@ class OperationModes:
         mode = Mode.PROFILE_POSITION if self.has(Mode.PROFILE_POSITION) else self.streaming
         if mode is None:
             raise CapabilityError(
-                f"{self._sdo.name} has no mode that moves an axis here (6502h is {self._supported:X}h)"
+                f"{self._access.name} has no mode that moves an axis here (6502h is {self._supported:X}h)"
             )
         return mode
 
@@ -99,7 +99,9 @@ class OperationModes:
     def require(self, mode: Mode) -> None:
         """Raise CapabilityError for a mode that 6502h does not list."""
         if not self.has(mode):
-            raise CapabilityError(f"{self._sdo.name} has no mode {mode.name.lower()} (6502h is {self._supported:X}h)")
+            raise CapabilityError(
+                f"{self._access.name} has no mode {mode.name.lower()} (6502h is {self._supported:X}h)"
+            )
 
     def change(self, mode: Mode, *, until_enabled: bool) -> None:
         """Write it and see it confirmed (6061h). until_enabled: a drive without power may show it later, see `confirm`. Raises
@@ -118,18 +120,18 @@ class OperationModes:
 
     def is_shown(self) -> bool:
         """Whether 6061h shows the mode now."""
-        return self._sdo.read(objects.MODE_DISPLAY) == self.mode
+        return self._access.read(objects.MODE_DISPLAY) == self.mode
 
     def _shown(self, mode: Mode, within_s: float) -> int:
         deadline = self._clock.deadline(within_s)
-        while (shown := self._sdo.read(objects.MODE_DISPLAY)) != mode and not deadline.expired:
+        while (shown := self._access.read(objects.MODE_DISPLAY)) != mode and not deadline.expired:
             self._clock.sleep_s(POLL_S)
         return shown
 
     def _is_off(self) -> bool:
         """Whether the drive is without power for another reason than a fault."""
-        state = decode_state(self._sdo.read(objects.STATUSWORD))
+        state = decode_state(self._access.read(objects.STATUSWORD))
         return state in WITHOUT_POWER and state not in FAULTS
 
     def _not_followed(self, mode: Mode, shown: int) -> ProtocolError:
-        return ProtocolError(f"{self._sdo.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
+        return ProtocolError(f"{self._access.name}: mode {mode} was written, {objects.MODE_DISPLAY} stays {shown}")
