@@ -30,7 +30,8 @@ def test_malformed_records(
     verb: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    for name, expected in RECORDS.items():
+    every = 1 if verb == ["iso230"] else 10  # the others read them by the same function
+    for name, expected in list(RECORDS.items())[::every]:
         path = CORPUS / "records" / name
         assert main([*verb, str(path)]) == 2, name
         out, error = capfd.readouterr()

@@ -90,15 +90,6 @@ def test_a_file_that_withdraws_more_rows_than_there_are_is_refused(tmp_path: Pat
         read_csv(path)
 
 
-def test_a_file_taken_up_again_goes_on_behind_its_rows(tmp_path: Path) -> None:
-    path = tmp_path / "measure.csv"
-    journal_of(path, 3)
-    with RowJournal(path, NAMES) as journal:
-        assert len(journal) == 3
-        journal.append(row(3))
-    assert numbers(path) == [0, 1, 2, 3]
-
-
 @given(st.integers(0, 4), st.integers(0, 400), st.booleans())
 @settings(max_examples=50, deadline=None)
 def test_torn_at_any_byte_what_was_whole_is_kept_and_what_was_torn_is_dropped(

@@ -23,13 +23,18 @@ from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.figures.iso230 import FIGURES, iso230
 from hil.records.rows import Records, read_csv
 from hil.ui.report.data import NamedCampaign, ReportData, TableInForce, environment, history
-from hil.ui.report.document import before_after_image, render_files, render_html
+from hil.ui.report.document import before_after_image, content, render_files, render_html
 from hil.ui.report.document import html as as_html
 
 
 def section(found: dict[str, Any], diagnosed: NamedCampaign | None) -> str:
-    """The part about a diagnosis, as it stands in a page."""
-    return as_html(diagnosis_part.section(found, diagnosed))
+    """The part about a diagnosis, as it stands in a page, without its drawings."""
+    return as_html(diagnosis_part.section(found, diagnosed), lambda _drawing: "")
+
+
+def undrawn(whole: ReportData) -> Page:
+    """All that a page says beside its drawings, which take the time."""
+    return Page(as_html(content(whole), lambda _drawing: ""))
 
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")
@@ -133,24 +138,26 @@ FOUND = {
 
 
 @pytest.fixture(scope="module")
-def page() -> Page:
-    whole = data(diagnosis=FOUND, diagnosed=NamedCampaign("after", campaign_rows(2, 0.1)))
-    return Page(render_html(whole))
+def whole() -> str:
+    return render_html(data(diagnosis=FOUND, diagnosed=NamedCampaign("after", campaign_rows(2, 0.1))))
+
+
+@pytest.fixture(scope="module")
+def page(whole: str) -> Page:
+    return Page(whole)
 
 
 # the page as a file
 
 
-def test_the_page_refers_to_nothing_outside_itself() -> None:
-    html = render_html(data(diagnosis=FOUND, diagnosed=NamedCampaign("after", campaign_rows(2, 0.1))))
-    page = Page(html)
+def test_the_page_refers_to_nothing_outside_itself(whole: str, page: Page) -> None:
     assert page.links
     assert all(link.startswith(("#", "data:")) for link in page.links)
     assert not {"link", "iframe", "object", "embed", "base", "img"} & set(page.tags)
-    assert all(match.startswith("#") for match in re.findall(r"url\(([^)]*)\)", html))
-    assert "://" not in html
-    assert "@import" not in html
-    assert "default-src 'none'" in html
+    assert all(match.startswith("#") for match in re.findall(r"url\(([^)]*)\)", whole))
+    assert "://" not in whole
+    assert "@import" not in whole
+    assert "default-src 'none'" in whole
 
 
 def test_ids_are_unique_and_every_reference_has_its_target(page: Page) -> None:
@@ -178,12 +185,11 @@ def test_the_same_data_give_the_same_bytes_in_another_process() -> None:
     assert len(next(iter(digests)).strip()) == 64
 
 
-def test_marker_colours_never_reach_the_page() -> None:
-    html = render_html(data(campaigns=data().campaigns[:1]))
-    assert "#0a000" not in html
-    assert "var(--plot-up)" in html
-    defined = set(re.findall(r"(--[\w-]+):", html))
-    assert set(re.findall(r"var\((--[\w-]+)\)", html)) <= defined
+def test_marker_colours_never_reach_the_page(whole: str) -> None:
+    assert "#0a000" not in whole
+    assert "var(--plot-up)" in whole
+    defined = set(re.findall(r"(--[\w-]+):", whole))
+    assert set(re.findall(r"var\((--[\w-]+)\)", whole)) <= defined
 
 
 # what it says
@@ -239,14 +245,14 @@ def test_band_tile_counts_with_the_signs_and_leaves_out_what_the_band_does_not_j
     only = (NamedCampaign("after", moved),)
     signs = (SignedSections(middle - 1.0, 1e6, 1, -1),)
     whole = data(campaigns=only, band=Band(49.0, 51.0, signs), band_targets_mm=tuple(targets.tolist()))
-    assert "18 of 18" in Page(render_html(whole)).words
-    assert "13 of 18" in Page(render_html(data(campaigns=only, band=Band(49.0, 51.0)))).words
+    assert "18 of 18" in undrawn(whole).words
+    assert "13 of 18" in undrawn(data(campaigns=only, band=Band(49.0, 51.0))).words
     between = data(
         campaigns=only,
         band=Band(49.0, 51.0, signs),
         band_targets_mm=(float(targets[0]), float(targets[3]), middle + 0.5, float(targets[-1])),
     )
-    assert "17 of 17 target means, 1 not judged" in Page(render_html(between)).words
+    assert "17 of 17 target means, 1 not judged" in undrawn(between).words
 
 
 def test_hostile_text_stays_text() -> None:
@@ -270,7 +276,7 @@ def test_hostile_text_stays_text() -> None:
 
 
 def test_one_campaign_needs_no_comparison() -> None:
-    page = Page(render_html(data(campaigns=(NamedCampaign("alone", campaign_rows()),), band=None)))
+    page = undrawn(data(campaigns=(NamedCampaign("alone", campaign_rows()),), band=None))
     assert "Comparison" not in page.words
     assert "as found" not in page.words
     assert "change" not in page.words
@@ -286,7 +292,7 @@ def test_one_campaign_needs_no_comparison() -> None:
     ],
 )
 def test_campaigns_short_of_the_standard_are_shown_and_say_so(records: Records, says: str) -> None:
-    page = Page(render_html(data(campaigns=(NamedCampaign("short", records),), band=None)))
+    page = undrawn(data(campaigns=(NamedCampaign("short", records),), band=None))
     assert says in page.words
     assert len(page.data["data-campaign-1-records"]["columns"]["run"]) == len(records)
 
@@ -294,18 +300,18 @@ def test_campaigns_short_of_the_standard_are_shown_and_say_so(records: Records, 
 def test_gaps_in_optional_columns_become_null_and_empty() -> None:
     records = campaign_rows()
     load = np.where(np.arange(90) % 2 == 0, 5.0, np.nan)
-    page = Page(render_html(data(campaigns=(NamedCampaign("gaps", records.with_column("load_kg", load)),))))
+    page = undrawn(data(campaigns=(NamedCampaign("gaps", records.with_column("load_kg", load)),)))
     assert page.data["data-campaign-1-records"]["columns"]["load_kg"][:2] == [5, None]
 
 
 def test_long_records_are_cut_in_the_table_and_whole_in_the_data() -> None:
     rng = np.random.default_rng(0)
-    n = 6000
+    n = 5200
     x = rng.uniform(0, 300, n)
     columns = {"run": np.ones(n), "direction": np.where(x > 150, 1.0, -1.0), "target_mm": x, "measured_mm": x + 1e-3}
     html = render_html(data(campaigns=(NamedCampaign("sweep", Records.of(columns)),), band=None))
     page = Page(html)
-    assert "The first 2000 of 6000 rows" in page.words
+    assert "The first 2000 of 5200 rows" in page.words
     assert len(page.data["data-campaign-1-records"]["columns"]["run"]) == n
     assert "data:image/png;base64," in html
 
@@ -335,8 +341,9 @@ FINDING = st.fixed_dictionaries(
 )
 @settings(max_examples=40, deadline=None)
 def test_any_json_in_a_diagnosis_makes_a_page(found: dict[str, Any]) -> None:
-    Page(section(found, None))
-    Page(section(found, NamedCampaign("after", campaign_rows())))
+    for diagnosed in (None, NamedCampaign("after", campaign_rows())):
+        Page(section(found, diagnosed))
+    Page(as_html(diagnosis_part.section(found, None)))  # drawn
 
 
 def test_what_is_no_text_becomes_a_mark() -> None:
@@ -379,7 +386,6 @@ def test_each_effect_is_shown_along_its_own_column(effect: str, label: str | Non
     assert ("data-finding-1" in page.data) == (label is not None)
     if label is not None:
         assert f"(x is {label})" in page.words
-        assert label in page.words
 
 
 def test_the_effect_is_laid_over_where_the_records_have_it_and_the_mean_elsewhere() -> None:
@@ -504,20 +510,17 @@ def test_drawings_as_files() -> None:
         "residual.png",
         "finding-1.png",
     ]
-    for content in drawings.values():
-        assert content.startswith(b"\x89PNG\r\n\x1a\n")
-        assert int.from_bytes(content[16:20], "big") > 1200
-    assert drawings == render_files(whole)
+    for drawn in drawings.values():
+        assert drawn.startswith(b"\x89PNG\r\n\x1a\n")
+        assert int.from_bytes(drawn[16:20], "big") > 1200
 
 
-def test_the_comparison_alone_as_svg_and_png() -> None:
+def test_the_comparison_alone() -> None:
     campaigns = data().campaigns
     svg = before_after_image(campaigns, "svg", Band(-2, 2))
     assert svg.startswith(b"<?xml")
     assert b"#0072b2" in svg
     assert b"before" in svg
-    assert svg == before_after_image(campaigns, "svg", Band(-2, 2))
-    assert before_after_image(campaigns).startswith(b"\x89PNG")
 
 
 # seen by people
