@@ -15,12 +15,10 @@ from pathlib import Path
 import pytest
 from support.backlash_axis import QUICK, lay_out
 
-from drivers.canopen.drive import CanOpenDrive
-from drivers.errors import LinkLostError
 from hil.app.main import main
 from hil.axis.axis_file import load_drive_axis
 from hil.backlash.job import backlash_config
-from hil.backlash.settings import ObjectSetting, backlash_settings
+from hil.backlash.settings import backlash_settings
 from hil.machine.wiring import connected_drive
 
 pytestmark = pytest.mark.outside
@@ -142,26 +140,6 @@ def test_detection_limit_exceeded(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
 
 
-def test_restore_puts_back_what_was_noted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    axis, written = lay_out(tmp_path, "canopen"), []
-    write = ObjectSetting.write
-
-    def seen(setting: ObjectSetting, value: float) -> None:
-        write(setting, value)
-        written.append((setting.name, setting.read()))
-
-    monkeypatch.setattr(ObjectSetting, "write", seen)
-    assert main(["backlash", str(axis), "--restore"]) == 0
-    assert "nothing to put back" in capsys.readouterr().out
-    (tmp_path / "X-campaign" / "backlash-before.json").write_text(json.dumps({"2201h": 3150.0, "2202h": 1.0}))
-    assert main(["backlash", str(axis), "--restore"]) == 0
-    assert "put back: 2201h = 3150, 2202h = 1" in capsys.readouterr().out
-    assert written == [("2202h", 1.0), ("2201h", 3150.0)]
-    assert not (tmp_path / "X-campaign" / "backlash-before.json").exists()
-
-
 @pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_restore_puts_back_what_was_there_before_the_first_write(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], face: str
@@ -210,32 +188,6 @@ def test_an_interruption_is_put_back_before_a_write_is_undone(
         assert "--restore once more" in said
         assert main(["backlash", str(axis), "--restore"]) == 0
         assert amount.read() == 1250
-
-
-def test_a_lost_link_is_one_line_and_what_is_not_put_back_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    axis = lay_out(tmp_path, "canopen")
-    looks = iter(range(10_000))
-    sample, write = CanOpenDrive.sample, ObjectSetting.write
-
-    def lost(drive: CanOpenDrive) -> object:
-        if next(looks) > 200:
-            raise LinkLostError("CAN adapter unplugged")
-        return sample(drive)
-
-    def refused(setting: ObjectSetting, value: float) -> None:
-        if next(looks) > 200:
-            raise LinkLostError("CAN adapter unplugged")
-        write(setting, value)
-
-    monkeypatch.setattr(CanOpenDrive, "sample", lost)
-    monkeypatch.setattr(ObjectSetting, "write", refused)
-    assert main(["backlash", str(axis)]) == 1
-    lines = capsys.readouterr().err.splitlines()
-    assert len(lines) == 2
-    assert "not put back: 2202h was 0 (CAN adapter unplugged); 2201h was 0" in lines[0]
-    assert lines[1] == "hil: CAN adapter unplugged"
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ import time
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -110,11 +109,3 @@ def test_the_table_follows_the_path_and_not_the_screw() -> None:
     assert plain > 15.0
     assert corrected < plain / 10
     assert seconds < PERIOD_S / 2
-
-
-def test_a_correction_of_a_wrong_sign_would_be_seen() -> None:
-    wrong = _tables()
-    wrong = TableSet(TableMode.BIDIRECTIONAL, wrong.pitch.scaled(-1.0))
-    plain_um, _ = _stream(Compensation(TableSet.zero(np.array([0.0, 100.0]))), 3000)
-    worse_um, _ = _stream(Compensation(wrong), 3000)
-    assert np.sqrt(np.mean(worse_um**2)) == pytest.approx(2 * np.sqrt(np.mean(plain_um**2)), rel=0.1)

@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterator
-from itertools import pairwise
+from itertools import pairwise, takewhile
 from typing import Any
 
 import can
 import pytest
 
-from drivers.canopen import cia301, pdo_setup
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.sdo import Running
 from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
-from drivers.cia402.objects import Entry
 from drivers.drive import DriveLimits, DriveState
-from drivers.errors import InputError, NoAnswerError, SafetyError, StateError, UndoError
+from drivers.errors import BridgeError, InputError, SafetyError, StateError, UndoError
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
+from sim_backends.canopen_dictionary import RefusedError
 
 LIMITS = DriveLimits(-300.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
 X, Y = 5, 6
@@ -36,13 +34,18 @@ class Bus:
         self.clock = self.bench.clock
         self.syncs: list[int] = []
         self.tpdos: Counter[int] = Counter()
+        self.orders: list[tuple[int, int]] = []  # node and object of each write, and of each stop by RPDO
         self.bench.wire.add_node().on_frame = self._see
 
-    def _see(self, cob_id: int, _data: bytes, now_ns: int) -> None:
+    def _see(self, cob_id: int, data: bytes, now_ns: int) -> None:
         if cob_id == 0x080:
             self.syncs.append(now_ns)
         elif cob_id & 0x780 in (0x180, 0x280) and cob_id & 0x7F in (X, Y):
             self.tpdos[cob_id & 0x7F] += 1
+        elif cob_id & 0x780 == 0x300:
+            self.orders.append((cob_id & 0x7F, 0x6040))
+        elif cob_id & 0x780 == 0x600 and data[0] >> 5 == 1:
+            self.orders.append((cob_id & 0x7F, int.from_bytes(data[1:3], "little")))
 
     def link(self) -> CanLink:
         return CanLink(self.bench.port(), self.clock)
@@ -273,31 +276,44 @@ def test_a_stream_does_not_begin_beside_another_programs(bus: Bus) -> None:
 # -- leaving a stream ------------------------------------------------------------------------------------------------------------
 
 
-def _raising(drive: CanOpenDrive, index: int, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on each transfer of this object with the drive ends so, alone or among others."""
-    real = drive.sdo.begin
+def _raising(bus: Bus, node_id: int, key: tuple[int, int], error: BaseException) -> None:
+    """From now on each write of this object of a node ends so."""
 
-    def begin(running: Running[object]) -> None:
-        if running.talk.index == index:
-            raise error
-        real(running)
+    def write(_value: int) -> None:
+        raise error
 
-    monkeypatch.setattr(drive.sdo, "begin", begin)
+    bus.bench.slaves[node_id].dictionary.on_write(*key, write)
 
 
-def _failing(drive: CanOpenDrive, entry: Entry, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From now on the drive does not answer transfers of this object."""
-    _raising(drive, entry.index, NoAnswerError(f"drive {drive.name}: SDO {entry.index:04X}h not answered"), monkeypatch)
+def _told_first(bus: Bus, node_id: int, key: tuple[int, int], act: Callable[[], object]) -> set[int]:
+    """The operator interrupts at the first write of this object; the nodes that are told to stop before anything else is written."""
+    before: list[int] = []
+
+    def interrupt(_value: int) -> None:
+        if not before:
+            before.append(len(bus.orders))
+            raise KeyboardInterrupt
+
+    bus.bench.slaves[node_id].dictionary.on_write(*key, interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        act()
+    return {node for node, _ in takewhile(lambda order: order[1] == 0x6040, bus.orders[before[0] :])}
 
 
-def test_leaving_a_stream_is_done_to_the_end_whatever_fails(
-    pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    x, y = pair
-    stream = CyclicStream([x, y], StreamSettings(0.01))
+SYNC_PERIOD, MODE = (0x1006, 0), (0x6060, 0)
+
+
+def _streaming(*drives: CanOpenDrive) -> CyclicStream:
+    stream = CyclicStream(drives, StreamSettings(0.01))
     stream.__enter__()
-    for drive in pair:
-        _failing(drive, cia301.SYNC_PERIOD, monkeypatch)
+    stream.cycle([0.0] * len(drives))
+    return stream
+
+
+def test_leaving_a_stream_is_done_to_the_end_whatever_fails(bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive]) -> None:
+    stream = _streaming(*pair)
+    for node_id in (X, Y):
+        _raising(bus, node_id, SYNC_PERIOD, RefusedError(0x08000022))
     with pytest.raises(UndoError, match=r"drive X: 1006h not put back: .*; drive Y: 1006h not put back: ") as caught:
         stream.__exit__(None, None, None)
     assert len(caught.value.errors) == 2
@@ -308,107 +324,43 @@ def test_leaving_a_stream_is_done_to_the_end_whatever_fails(
         drive.start_move(3.0, 50.0)
 
 
+@pytest.mark.parametrize("key", [MODE, (0x1400, 1)], ids=["mode", "PDO"])
 def test_an_axis_that_cannot_be_put_back_is_disabled_and_the_others_are_put_back(
-    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], key: tuple[int, int]
 ) -> None:
     x, y = pair
-    stream = CyclicStream([x, y], StreamSettings(0.01))
-    stream.__enter__()
-    stream.cycle([0.0, 0.0])
-    _failing(x, objects.MODE, monkeypatch)
-    with pytest.raises(NoAnswerError, match="drive X: SDO 6060h not answered"):
+    stream = _streaming(x, y)
+    _raising(bus, X, key, RefusedError(0x08000022))
+    with pytest.raises(BridgeError, match=f"drive X: .*{key[0]:X}h"):
         stream.__exit__(None, None, None)
     assert not bus.bench.servos[X].powered
+    assert not x.is_streaming
     assert y.sample().state is DriveState.ENABLED
     assert y.modes.mode is Mode.PROFILE_POSITION
 
 
-def test_an_axis_whose_pdos_cannot_be_put_back_is_disabled(
-    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    x, y = pair
-    stream = CyclicStream([x, y], StreamSettings(0.01))
-    stream.__enter__()
-    stream.cycle([0.0, 0.0])
-
-    def silent() -> None:
-        raise NoAnswerError("drive X: SDO 1400h not answered")
-
-    monkeypatch.setattr(stream._axes[0].setup, "restore", silent)
-    with pytest.raises(NoAnswerError, match="1400h"):
-        stream.__exit__(None, None, None)
-    assert not bus.bench.servos[X].powered
-    assert not x.is_streaming
-    assert y.sample().state is DriveState.ENABLED
-
-
-def _stops_before(
-    pair: tuple[CanOpenDrive, CanOpenDrive], name: str, monkeypatch: pytest.MonkeyPatch
-) -> list[CanOpenDrive]:
-    """Gets the drives as they are told to stop, until the named method of one of them is called."""
-    told: list[CanOpenDrive] = []
-    over: list[bool] = []
-
-    def noting(drive: CanOpenDrive) -> None:
-        send, ended = drive.send_stop, getattr(drive, name)
-
-        def send_stop() -> None:
-            if not over:
-                told.append(drive)
-            send()
-
-        def end() -> None:
-            over.append(True)
-            ended()
-
-        monkeypatch.setattr(drive, "send_stop", send_stop)
-        monkeypatch.setattr(drive, name, end)
-
-    for drive in pair:
-        noting(drive)
-    return told
-
-
 def test_an_interrupt_on_the_way_out_of_a_stream_does_not_end_it(
-    pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive]
 ) -> None:
-    x, y = pair
-    stream = CyclicStream([x, y], StreamSettings(0.01))
-    stream.__enter__()
-    stream.cycle([0.0, 0.0])
-    _raising(x, cia301.SYNC_PERIOD.index, KeyboardInterrupt(), monkeypatch)
-    told = _stops_before(pair, "end_streaming", monkeypatch)
-    with pytest.raises(KeyboardInterrupt):
-        stream.__exit__(None, None, None)
-    assert told == [x, y], "told to stop before anything else is put back"
-    assert not x.is_streaming
-    assert not y.is_streaming
-    assert not x.link.sync.streaming
+    stream = _streaming(*pair)
+    assert _told_first(bus, X, SYNC_PERIOD, lambda: stream.__exit__(None, None, None)) == {X, Y}
+    _without_power_or_stream(bus, pair)
 
 
-def _interrupted(*_: object) -> None:
-    raise KeyboardInterrupt
+def _without_power_or_stream(bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive]) -> None:
+    for node_id, drive in zip((X, Y), pair, strict=True):
+        assert bus.bench.slaves[node_id].profile.state is not DriveState.ENABLED
+        assert not drive.is_streaming
+        assert not drive.link.sync.streaming
 
 
-@pytest.mark.parametrize("while_writing", ["period", "PDO"])
+@pytest.mark.parametrize("key", [(0x60C2, 1), (0x1600, 0)], ids=["period", "PDO"])
 def test_an_interrupt_while_a_stream_is_entered_tells_the_drives_to_stop_before_they_are_put_back(
-    while_writing: str, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], key: tuple[int, int]
 ) -> None:
-    x, y = pair
-    if while_writing == "period":
-        _raising(y, objects.INTERPOLATION_PERIOD.index, KeyboardInterrupt(), monkeypatch)
-    else:
-        monkeypatch.setattr(pdo_setup, "configure", _interrupted)
-    told = _stops_before(pair, "end_streaming", monkeypatch)
-    restored: list[int] = []
-    real = pdo_setup.PdoSetup.restore
-    monkeypatch.setattr(pdo_setup.PdoSetup, "restore", lambda setup: (restored.append(len(told)), real(setup)))
-    with pytest.raises(KeyboardInterrupt):
-        CyclicStream([x, y], StreamSettings(0.01)).__enter__()
-    assert told[:2] == [x, y]
-    assert min(restored) == 2
-    assert not x.is_streaming
-    assert not y.is_streaming
+    stream = CyclicStream(pair, StreamSettings(0.01))
+    assert _told_first(bus, Y, key, stream.__enter__) == {X, Y}
+    _without_power_or_stream(bus, pair)
 
 
 def test_a_stream_that_cannot_be_entered_leaves_every_axis_as_it_was(
@@ -433,7 +385,7 @@ def test_a_stream_that_cannot_be_entered_leaves_every_axis_as_it_was(
 
 
 def test_what_fails_while_an_error_leads_out_of_a_stream_is_told_with_it(
-    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch
+    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive]
 ) -> None:
     x, y = pair
 
@@ -441,13 +393,13 @@ def test_what_fails_while_an_error_leads_out_of_a_stream_is_told_with_it(
         with CyclicStream([x, y], StreamSettings(0.01)) as stream:
             for cycle in range(20):
                 stream.cycle([0.5 * cycle, 0.5 * cycle])
-            _failing(y, cia301.SYNC_PERIOD, monkeypatch)
+            _raising(bus, Y, SYNC_PERIOD, RefusedError(0x08000022))
             x.send_stop()
             stream.cycle([10.0, 10.0])
 
     with pytest.raises(StateError, match="was told to stop") as caught:
         run()
-    assert [note for note in caught.value.__notes__ if note.startswith("drive Y: SDO 1006h not answered")]
+    assert [note for note in caught.value.__notes__ if note.startswith("drive Y: 1006h")]
     bus.clock.sleep_s(0.5)
     for node_id in (X, Y):
         assert bus.bench.slaves[node_id].profile.state is not DriveState.ENABLED

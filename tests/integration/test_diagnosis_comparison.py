@@ -30,12 +30,3 @@ def test_we_are_ahead_of_each_in_right_causes_wrong_names_and_fresh_error() -> N
     for name, theirs in {**figures, BLACK_BOX: box}.items():
         for part in ("median", "90 %"):
             assert ours["fresh RMS / noise"][part] < theirs["fresh RMS / noise"][part], (name, part)
-
-
-def test_what_is_not_installed_is_said_loudly() -> None:
-    pytest.importorskip("sklearn", reason="NOT COMPARED: scikit-learn is not installed (pip install -e .[test])")
-    from study.comparison_methods import METHODS, available  # noqa: PLC0415
-
-    absent = set(METHODS) - set(available())
-    if absent:
-        pytest.skip(f"NOT COMPARED: {', '.join(sorted(absent))} (pip install -e .[test])")

@@ -12,14 +12,9 @@ from typing import Any
 
 import can
 import pytest
-from study.makers_matrix import LEAD_MM, SPEED_MM_S, Row
+from study.makers_matrix import LEAD_MM, SPEED_MM_S
 from study.profiles_matrix import (
-    DRIVE_COLUMNS,
-    VERBS,
-    ProfileRow,
     ProfileTrial,
-    VerbRow,
-    profiles_markdown,
     profiles_summary,
     run_verbs,
     scanned,
@@ -369,30 +364,6 @@ def test_every_verb_over_a_third_of_the_profiles(name: str) -> None:
     rows = study_profiles([name])
     text, good = profiles_summary(rows)
     assert good, (text, rows[0].reasons)
-
-
-def test_the_table_of_the_documentation_names_what_is_not_done() -> None:
-    def row(name: str, drive: dict[str, str], verbs: dict[str, str], *reasons: str) -> ProfileRow:
-        did = Row(name, cells=dict.fromkeys(DRIVE_COLUMNS, "yes") | drive)
-        return ProfileRow(name, did, VerbRow(name, dict.fromkeys(VERBS, "yes") | verbs, list(reasons)), "yes")
-
-    refused = {"calibrate": "refused", "backlash": "refused"}
-    rows = [
-        row("a", {}, {}),
-        row("b", {"streams": "—"}, refused, "calibrate: cannot do: homing", "backlash: cannot do: homing"),
-        row("c", {"moves": ""}, refused, "calibrate: cannot do: homing", "backlash: cannot do: homing"),
-        row("d", {"stops": "yes, 0.1 mm"}, {"verify": "not good"}, "verify: out of band"),
-    ]
-    assert profiles_markdown(rows).splitlines() == [
-        "Profiles: `a`, `b`, `c`, `d`.",
-        "",
-        "| Not done | Result | Reason | Profiles |",
-        "|---|---|---|---|",
-        "| streams | not offered |  | `b` |",
-        "| calibrate, backlash | refused | cannot do: homing | `b`, `c` |",
-        "| moves | not tried |  | `c` |",
-        "| verify | not good | out of band | `d` |",
-    ]
 
 
 def test_the_profiled_slave_is_on_a_python_can_bus_as_any_other() -> None:

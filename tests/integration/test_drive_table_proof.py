@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.table_axis import FACES, lay_out_table_axis
 
-from drivers.correction_table import CorrectionTable, RawTable
+from drivers.correction_table import RawTable
 from drivers.drive import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig
@@ -124,29 +124,6 @@ def test_by_the_drives_own_word(face: str, tmp_path: Path) -> None:
             assert proof.u95_um == pytest.approx(abs(table.description.value.um(axis.scaling)) / 2.0)  # half a step
             assert not table.enabled()
     assert abs(max(place.difference_um for place in proof.places if place.direction < 0)) < 0.5
-
-
-@pytest.mark.outside
-def test_an_error_while_it_is_measured_leaves_the_switch_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    axis, tables = lay_out_table_axis(tmp_path, "canopen, array")
-    with connected(axis) as machine:
-        table = held_table(machine.session.drive)
-        made = drive_table(wanted_of(Compensation(tables)), table.description, axis.scaling, axis.limits)
-        table.write(made.raw)
-        campaign = Campaign.numbered(axis.store.directory, {"kind": "proof"}, resume=False)
-        switch = CorrectionTable.switch
-
-        def interrupted(self: CorrectionTable, on: bool) -> None:
-            switch(self, on)
-            if on:
-                raise KeyboardInterrupt
-
-        monkeypatch.setattr(CorrectionTable, "switch", interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            prove_by_instrument(machine.session, campaign, Compensation(tables), TARGETS, runs=1)
-        assert not table.enabled()
 
 
 class Shaft:

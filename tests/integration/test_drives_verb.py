@@ -25,7 +25,6 @@ from hil.doctor.procedure import doctor
 from hil.machine.axis_lock import modbus_endpoint
 from hil.machine.session import AxisSession
 from hil.machine.wiring import connected_drive
-from hil.records.zero import POSITION_DEPENDENT_METHODS, explain_homing
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import served as served_can
 from sim_backends.clock import SimClock
@@ -240,19 +239,6 @@ def test_an_axis_file_that_exists_is_kept(tmp_path: Path, capfd: pytest.CaptureF
     assert new(tmp_path, "leadshine_el7", 1)[0] == 2
     assert "exists already" in capfd.readouterr().err
     assert (tmp_path / "X.toml").read_text() == "mine"
-
-
-def test_homing_is_explained() -> None:
-    assert (
-        explain_homing(17, None)
-        == "which seeks the negative limit switch; that place shows its home position afterwards"
-    )
-    assert (
-        explain_homing(37, 5.0)
-        == "which moves nothing, takes the place where it stands; that place shows 5 mm afterwards"
-    )
-    assert explain_homing(-3, None) == explain_homing(None, None) == ""
-    assert all(explain_homing(method, None) for method in POSITION_DEPENDENT_METHODS)
 
 
 def test_a_wrong_node_id_is_named_with_its_channel_and_who_is_there(

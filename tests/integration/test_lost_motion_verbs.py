@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
@@ -21,10 +20,8 @@ from hil.axis.axis_file import load_axis
 from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import TANH, Rise, rise_of
 from hil.correction.store import SealedStore
-from hil.records.rows import read_csv
 from sim_backends.bench import known_bench
 
-Until = Callable[[Callable[[], bool], str], None]
 WORN_UM = 53.0
 
 
@@ -280,16 +277,6 @@ def test_by_the_estimated_position_it_lags_and_by_set_points_not(tmp_path: Path,
 
 
 @pytest.mark.outside
-def test_the_same_over_modbus(tmp_path: Path) -> None:
-    """By the vendor's map, which has no set-points: nothing here needs them."""
-    (x, _), out = lay_out_axes(tmp_path, "modbus-vendor", machine="geometric"), tmp_path / "out.json"
-    assert main(["lost-motion", str(x), "--json", str(out)]) == 0
-    found = json.loads(out.read_text())
-    assert found["amount_um"] == pytest.approx(known_bench("geometric", 5).plant.backlash.amount_um, abs=0.1)
-    assert found["proof"]["after"]["rms_um"] < 0.05 * found["proof"]["before"]["rms_um"]
-
-
-@pytest.mark.outside
 def test_beside_tables_it_is_in_force_for_every_other_verb_and_a_calibration_replaces_it(tmp_path: Path) -> None:
     (x, _), out = lay_out_axes(tmp_path, machine="typical", lost_motion=""), tmp_path / "out.json"
     assert main(["calibrate", str(x)]) == 0
@@ -320,25 +307,3 @@ def test_a_correction_that_does_not_prove_itself_is_not_stored(
     assert json.loads(out.read_text())["stored"] is False
     assert "the strokes are too short for the whole lost motion (stroke_mm)" in capsys.readouterr().out
     assert not (tmp_path / "X-campaign" / "tables.sealed").exists()
-
-
-@pytest.mark.outside
-def test_ctrl_c_keeps_the_rows_stores_nothing_and_resume_goes_on(tmp_path: Path, until: Until) -> None:
-    x, _ = lay_out_axes(tmp_path, machine="geometric")
-    command = [sys.executable, "-m", "hil.app", "lost-motion", str(x)]
-    process = subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
-    rows = tmp_path / "X-campaign" / "lost-motion-001" / "strokes.csv"
-    until(lambda: rows.exists() and rows.read_text().count("\n") >= 20, "some places measured")
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=60)
-    assert process.returncode == 130
-    assert errors.splitlines() == [
-        "hil: interrupted; the axis was stopped, what was measured is kept",
-        f"hil: go on with: hil lost-motion {x} --resume",
-    ]
-    assert not (tmp_path / "X-campaign" / "tables.sealed").exists()
-    kept = rows.read_text()
-    assert main(["lost-motion", str(x), "--resume"]) == 0
-    assert rows.read_text().startswith(kept)
-    assert len(read_csv(rows)) == 5 * 25
-    assert stored(x).load().rise is not None

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 import pytest
-from study.makers_matrix import SPEED_MM_S, Row, Trial, markdown, shared_data, study, summary
+from study.makers_matrix import SPEED_MM_S, Row, Trial, shared_data, study, summary
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -419,28 +419,3 @@ def test_the_doctor_finds_wrong_units_before_a_millimetre_is_moved(
                 checks = {check.name: check for check in doctor(session)}
     assert [name for name, check in checks.items() if not check.good] == [words], checks
     assert reach[0] < 1.0
-
-
-def test_the_table_of_the_documentation_groups_dictionaries_by_what_they_did() -> None:
-    good = {
-        "opens": "yes",
-        "enables": "yes",
-        "homes": "yes (17)",
-        "moves": "yes, 0.0 %",
-        "streams": "—",
-        "put back": "yes",
-    }
-    rows = [
-        Row("B", cells=good),
-        Row("A", cells=good),
-        Row("A", cells=good),
-        Row("C", cells=good | {"homes": "—"}, not_restored=["607Ah:00"]),
-        Row("D", failed=True, reasons=["units: of the file", "opens: no 6064h"]),
-        Row("E", failed=True, moved=True, reasons=["moves: arrived 3 mm off"]),
-    ]
-    assert markdown(rows).splitlines()[2:] == [
-        "| failed: moves: arrived 3 mm off | 1 | E |",
-        "| homes, moves | 3 | A ×2, B |",
-        "| moves, not put back | 1 | C |",
-        "| refused: opens: no 6064h | 1 | D |",
-    ]

@@ -36,6 +36,7 @@ from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
+from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_profile import Defect
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
@@ -51,12 +52,6 @@ SCALING = AxisScaling(COUNTS, 10.0)
 TIMEOUT_S = 0.25
 CIA402, VENDOR = "cia402_over_modbus", "vendor_style"
 UNIT = 3
-
-
-class Shaft:
-    friction_permille = 10.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None: ...
 
 
 @dataclass
@@ -87,7 +82,7 @@ def rig(
     """A drive, not yet open, on a wire of its own."""
     clock = SimClock()
     servo = SimulatedServo(
-        Shaft(),
+        BareShaft(),
         ServoParameters(
             counts_per_rev=COUNTS,
             negative_limit_counts=-50_000,

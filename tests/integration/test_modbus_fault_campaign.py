@@ -20,6 +20,7 @@ from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import LinkPolicy, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling
+from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
@@ -35,12 +36,6 @@ TCP_ONLY = (WireFaultKind.DROP, WireFaultKind.DROP_REQUEST)
 KINDS = tuple(WireFaultKind)
 TRIGGER_ADDRESS = b"\x06\x00\x06"  # function 6, register 40007 of the vendor's drive
 WRITES = (5, 6, 15, 16)
-
-
-class Shaft:
-    friction_permille = 10.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None: ...
 
 
 @dataclass
@@ -71,7 +66,7 @@ class Rig:
 @contextmanager
 def rig(shape: str, wire: str) -> Iterator[Rig]:
     clock = SimClock()
-    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=COUNTS, seed=3))
+    servo = SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=COUNTS, seed=3))
     seen = [0.0]
 
     def watch(_now_ns: int, _dt_s: float) -> None:

@@ -48,6 +48,7 @@ from hil.parameters.journal import Journal
 from hil.parameters.recover import Unfinished, recover
 from hil.parameters.report import Ending
 from hil.parameters.snapshot import back_up
+from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server
@@ -368,12 +369,6 @@ def test_another_unit_on_a_serial_line_stays_silent(c_slave: Path) -> None:
 
 
 # -- our server ------------------------------------------------------------------------------------------------------------
-class Shaft:
-    friction_permille = 0.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None: ...
-
-
 class Mbpoll:
     """The command-line master, told where the server is."""
 
@@ -403,7 +398,7 @@ def mbpoll(request: pytest.FixtureRequest) -> Iterator[tuple[Mbpoll, Callable[[o
     """A foreign master, a function that serves a face to it, and the servo to build the face on."""
     if shutil.which("mbpoll") is None:
         pytest.skip("no mbpoll (Debian: mbpoll)")
-    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=60_000))
+    servo = SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=60_000))
     clock = SimClock()
     clock.attach(servo.advance, bearable=servo.bearable)
     with contextlib.ExitStack() as stack:

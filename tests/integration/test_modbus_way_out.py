@@ -27,6 +27,7 @@ from drivers.standstill import FrozenValues
 from drivers.way_out import WayOut
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
+from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_registers import Face
@@ -41,12 +42,6 @@ BRAKING_S = 1.0
 SLOW_LIMITS = replace(LIMITS, max_acceleration_mm_s2=25.0)
 
 Answer = Callable[["FaultyWire", Request], tuple[int, ...]]
-
-
-class Shaft:
-    friction_permille = 10.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None: ...
 
 
 @dataclass
@@ -180,7 +175,7 @@ def moving(name: str, limits: DriveLimits = LIMITS, clock: SimClock | None = Non
     """A drive, open, enabled and on its way at full speed."""
     clock = clock or SimClock()
     servo = SimulatedServo(
-        Shaft(),
+        BareShaft(),
         ServoParameters(
             counts_per_rev=COUNTS,
             negative_limit_counts=-50_000,

@@ -1,7 +1,9 @@
-"""One slow drive of a download holds up no other: four simulated drives on a bus at 1 Mbit/s, in simulated time."""
+"""One slow drive of a download holds up no other, on one bus or on several, and what ends one line ends all of them in order."""
 
 from __future__ import annotations
 
+import json
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -10,13 +12,16 @@ from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_se
 
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.raw_parameters import START_S, address_of
+from drivers.clock import Clock, WallClock
 from drivers.errors import NoAnswerError
-from drivers.raw_parameters import RawParameters, Steps
+from drivers.modbus.wear import WearLedger
+from drivers.raw_parameters import Pause, RawParameters, Steps
 from hil.parameters.download import Target, download
 from hil.parameters.report import Ending
 from hil.parameters.tasks import run_together
 from hil.parameters.transaction import DriveJob
 from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.clock import SimClock
 
 COUNT = 12
 KEYS = maker_keys(COUNT)
@@ -150,3 +155,126 @@ def test_a_drive_whose_boot_up_does_not_come_holds_up_no_other(make: Make) -> No
     assert [type(error) for error in errors] == [type(None), NoAnswerError, type(None), type(None)]
     assert (clock.now_ns() - start_ns) * 1e-9 == pytest.approx(START_S, abs=0.01)
     assert max(times.values()) < 0.1
+
+
+# -- drives on different lines ---------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("steps", [proves, settles])
+def test_a_slow_drive_holds_up_no_drive_of_another_bus(
+    make: Make, steps: Callable[[RawParameters], Steps[None]]
+) -> None:
+    """One simulated time for three buses: what the fast ones take is what each takes alone."""
+
+    def times() -> list[float]:
+        clock = SimClock()
+        rigs = [make(clock=clock, nodes=(5,)) for _ in range(3)]
+        shows_late(rigs[0], KEYS, 5, SLOW_S)
+        start_ns = clock.now_ns()
+        took_s = [0.0] * len(rigs)
+
+        def timed(rig: ParameterRig) -> Steps[None]:
+            yield from steps(rig.drives[0])
+            took_s[rigs.index(rig)] = (clock.now_ns() - start_ns) * 1e-9
+
+        assert run_together(rigs, lambda rig: rig.drives[0], timed) == [None] * 3
+        assert all(rig.values(KEYS) == [entry.raw for entry in NEW.entries] for rig in rigs)
+        return took_s
+
+    alone = make(nodes=(5,))
+    start_ns = alone.bench.clock.now_ns()
+    assert run_together(alone.drives, lambda drive: drive, steps) == [None]
+    alone_s = (alone.bench.clock.now_ns() - start_ns) * 1e-9
+    slow_s, *others_s = times()
+    assert slow_s > SLOW_S
+    assert others_s == pytest.approx([alone_s] * 2, abs=1e-6)
+    assert times() == [slow_s, *others_s], "threads or not, a run is repeatable"
+
+
+def test_a_whole_download_over_two_buses(make: Make) -> None:
+    """Each drive's own time is what its report says, and each journal comes to its end."""
+    clock = SimClock()
+    slow = make(clock=clock, nodes=(5,), faults=[CanFault(CanFaultKind.SDO_LATE, size=0.04)])
+    fast = make(clock=clock, nodes=(5,))
+    told: list[tuple[str, str]] = []
+    targets = [Target(rig.drives[0], NEW, rig.journals[0]) for rig in (slow, fast)]
+    reports = download(targets, progress=lambda stage, drive, *_: told.append((stage, drive)))
+    assert [report.ending for report in reports] == [Ending.WRITTEN] * 2
+    assert all(rig.journals[0].unfinished() is None for rig in (slow, fast))
+    last = reports[0].seconds, reports[1].seconds
+    assert last[0] > 1.0
+    looked_s = 0.04 * (COUNT + 4)  # nothing is written before all have been looked at
+    assert last[1] < last[0] - looked_s / 2
+
+
+class _Line:
+    """Work on a wall clock that nothing but pauses and threads is needed for."""
+
+    def run(self, jobs: list[Steps[None]]) -> list[None]:
+        for job in jobs:
+            for pause in job:
+                assert isinstance(pause, Pause)
+                deadline = WallClock().deadline(pause.duration_s)
+                while not (deadline.expired or pause.done()):
+                    WallClock().sleep_s(0.001)
+        return [None for _ in jobs]
+
+
+class _Drive:
+    def __init__(self) -> None:
+        self.line = _Line()
+        self.clock: Clock = WallClock()
+
+
+def test_lines_on_the_wall_clock_wait_for_each_other_not_in_turn() -> None:
+    """Each of these ends only once the others have begun."""
+    barrier = threading.Barrier(3, timeout=10.0)
+
+    def meets(_drive: object) -> Steps[None]:
+        barrier.wait()
+        yield Pause(0.0)
+
+    assert run_together([_Drive(), _Drive(), _Drive()], lambda drive: drive, meets) == [None] * 3  # type: ignore[arg-type,return-value]
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
+@pytest.mark.parametrize("shared", [True, False])
+def test_what_ends_one_line_ends_the_others_at_their_next_step_and_is_raised(
+    error: type[BaseException], shared: bool
+) -> None:
+    clock = SimClock()
+    drives = [_Drive(), _Drive()]
+    ended = []
+
+    def steps(drive: _Drive) -> Steps[None]:
+        if drive is drives[0]:
+            yield Pause(0.01)
+            raise error("first")
+        try:
+            yield Pause(60.0)
+            yield Pause(60.0)
+        finally:
+            ended.append(drive)
+
+    if shared:
+        for drive in drives:
+            drive.clock = clock
+    began = WallClock().now_ns()
+    with pytest.raises(error, match="first"):
+        run_together(drives, lambda drive: drive, steps)  # type: ignore[arg-type,return-value]
+    assert WallClock().now_ns() - began < 10e9
+    assert ended == ([] if shared else [drives[1]]), "in turns, the second had not begun"
+
+
+def test_two_ledgers_of_one_file_count_each_others_writes(tmp_path: Path) -> None:
+    path = tmp_path / "eeprom-writes.json"
+    ledgers = {name: WearLedger(path) for name in ("X", "Z")}
+
+    def charges(name: str) -> None:
+        for _ in range(50):
+            ledgers[name].charge(name, "gain", 1000)
+
+    threads = [threading.Thread(target=charges, args=(name,)) for name in ledgers]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert json.loads(path.read_text()) == {"X/gain": 50, "Z/gain": 50}

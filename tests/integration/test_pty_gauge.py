@@ -131,14 +131,6 @@ def test_a_gauge_that_was_unplugged_is_found_again(tmp_path: Path) -> None:
             assert made.listen(1.0)[-1].status is ReadingStatus.GOOD
 
 
-def test_a_display_refuses_what_it_does_not_know() -> None:
-    with rig("nd2xx", ND) as made:
-        link = made.gauge._link  # type: ignore[attr-defined]
-        link.write(b"\x1bA0999\r")
-        made.bench.clock.sleep_s(0.1)
-        assert link.read_waiting() == b"\x15"
-
-
 def test_the_bench_says_which_instruments_it_has() -> None:
     own = DisplayConfig(9600, 8, "N", 1, pattern=r"(?P<value>\d+)")
     with pytest.raises(InputError, match="the bench writes patterns"):

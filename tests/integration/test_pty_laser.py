@@ -2,13 +2,11 @@
 
 import itertools
 import statistics
-import threading
 from collections.abc import Iterator
 from dataclasses import replace
 
 import pytest
 
-from drivers.clock import WallClock
 from drivers.errors import LinkLostError
 from drivers.instrument import Reading, ReadingStatus
 from drivers.instruments.serial_link import SerialLink
@@ -16,8 +14,7 @@ from drivers.instruments.umd_laser import BesideOptics, UmdLaser, UmdSettings
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.laser import LaserParameters
-from sim_backends.plant.parameters import geometric_axis, typical_axis
-from sim_backends.serve import Pace, run_in_real_time
+from sim_backends.plant.parameters import geometric_axis
 from sim_backends.virtual_drive import VirtualDrive
 
 pytestmark = pytest.mark.outside
@@ -114,20 +111,6 @@ def test_angle_optics_show_the_tables_pitch_and_yaw(rig: Rig) -> None:
     assert max(seen) - min(seen) > 1.0
 
 
-def test_two_benches_of_one_seed_send_the_same() -> None:
-    heard = []
-    for _ in range(2):
-        rig = Rig(BenchParameters())
-        try:
-            rig.drive.enable()
-            rig.go(20.0)
-            heard.append(rig.listen(1.0))
-        finally:
-            rig.close()
-    assert heard[0] == heard[1]
-    assert len(heard[0]) == 50
-
-
 def test_nobody_reading_leaves_a_gap_and_no_deadlock(rig: Rig) -> None:
     rig.listen(1.0)
     rig.bench.clock.sleep_s(120.0)
@@ -180,32 +163,6 @@ def test_a_bad_line_costs_its_sample_and_nothing_else(rig: Rig) -> None:
     assert sum(jump > 0.1 for jump in jumps) == 2  # the glitch, up and down again
 
 
-@pytest.mark.parametrize("rig", [BenchParameters(laser_faults=(Fault(FaultKind.RESTART, at_s=5.0),))], indirect=True)
-def test_a_restarted_instrument_is_noticed(rig: Rig) -> None:
-    assert [r.status for r in rig.listen(4.9)][-1] is ReadingStatus.GOOD
-    after = [one.status for one in rig.listen(0.5)]
-    assert ReadingStatus.HEAD_ERROR in after
-    assert after[-1] is ReadingStatus.LOST_BEFORE
-
-
-def test_instrument_effects_show_in_the_reading() -> None:
-    """A beam 2 mrad off reads short by x·θ²/2."""
-    straight, off = (
-        Rig(BenchParameters(plant=replace(typical_axis(1)), laser=LaserParameters(misalignment_mrad=mrad)))
-        for mrad in (0.0, 2.0)
-    )
-    try:
-        difference = []
-        for rig in (straight, off):
-            rig.drive.enable()
-            rig.go(480.0)
-            difference.append(rig.measure())
-        assert (difference[1] - difference[0]) * 1000.0 == pytest.approx(-480.0 * 1000 * 2e-3**2 / 2, abs=0.05)
-    finally:
-        straight.close()
-        off.close()
-
-
 def test_a_port_that_vanishes_is_a_lost_link(rig: Rig) -> None:
     rig.listen(0.5)
     rig.bench.laser.close()
@@ -235,32 +192,6 @@ def test_an_effect_switched_on_while_it_runs_reaches_the_reading(rig: Rig, effec
     rig.go(440.0)
     rig.listen(300.0)
     assert (rig.measure() - before) * 1000.0 == pytest.approx(expected_um, abs=0.1)
-
-
-def test_in_real_time_another_thread_may_read() -> None:
-    """The wall clock drives the simulation in one thread; the reader in this one only looks at the port."""
-    with Bench(BenchParameters(laser=LaserParameters(rate_hz=200.0)), wait_for_arrival=False) as bench:
-        done = threading.Event()
-        runner = threading.Thread(
-            target=run_in_real_time,
-            args=(Pace(bench.clock, WallClock()),),
-            kwargs={"keep_running": lambda: not done.is_set()},
-        )
-        wall = WallClock()
-        with UmdLaser(SerialLink(bench.laser_path), wall, SETTINGS) as laser:
-            runner.start()
-            try:
-                readings: list[Reading] = []
-                deadline = wall.deadline(20.0)
-                while len(readings) < 40:
-                    assert not deadline.expired, "40 readings not within 20 s"
-                    wall.sleep_s(0.01)
-                    readings += laser.poll()
-            finally:
-                done.set()
-                runner.join()
-        assert [r.sequence for r in readings] == list(range(readings[0].sequence, readings[0].sequence + len(readings)))
-        assert all(r.status is ReadingStatus.GOOD for r in readings)
 
 
 @pytest.mark.parametrize(

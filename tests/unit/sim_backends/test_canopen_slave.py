@@ -133,29 +133,6 @@ def test_a_short_rpdo_is_reported_and_not_taken(bench: Bench) -> None:
     assert bench.slave.profile.state is DriveState.SWITCH_ON_DISABLED
 
 
-def test_enabling_in_one_word_where_the_standard_lets_it(bench: Bench) -> None:
-    bench.control(0x06)
-    bench.control(0x0F)
-    assert bench.slave.profile.state is DriveState.ENABLED
-    bench.control(0x07)
-    assert bench.slave.profile.state is DriveState.SWITCHED_ON
-    assert not bench.servo.powered
-    bench.control(0x0F)
-    bench.control(0x00)
-    assert bench.slave.profile.state is DriveState.SWITCH_ON_DISABLED
-
-
-def test_a_reset_bit_that_stays_set_does_nothing_more(bench: Bench) -> None:
-    bench.control(0x80)
-    bench.servo.raise_fault(0x3210)
-    bench.run(5)
-    bench.control(0x80)
-    assert bench.slave.profile.state is DriveState.FAULT
-    bench.control(0x00)
-    bench.control(0x80)
-    assert bench.slave.profile.state is DriveState.SWITCH_ON_DISABLED
-
-
 def test_a_fault_while_moving_passes_through_its_reaction(bench: Bench) -> None:
     bench.write(0x6060, 0, 3, 1)
     for word in (0x06, 0x07, 0x0F):

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import tcp_server
@@ -17,14 +18,8 @@ from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 
-class Shaft:
-    friction_permille = 0.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None: ...
-
-
 def _faces() -> list[Face]:
-    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=60_000))
+    servo = SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=60_000))
     return [Cia402Registers(servo), VendorRegisters(servo, counts_per_rev=60_000)]
 
 
@@ -78,7 +73,7 @@ def _order(chance: random.Random, *, vendor: bool) -> bytes:
 def test_a_drive_under_power_bears_any_orders(seed: int) -> None:
     """A simulator that a master's nonsense kills is no use: nothing it is told may end it, whatever state it is in."""
     chance = random.Random(seed)
-    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=60_000))
+    servo = SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=60_000))
     vendor = seed % 2 == 0
     face: Face = VendorRegisters(servo, counts_per_rev=60_000) if vendor else Cia402Registers(servo)
     status = b"\4\0\0\0\x0c" if vendor else b"\3\x20\0\0\x0c"
@@ -113,7 +108,7 @@ def test_a_server_whose_face_breaks_says_so_at_once() -> None:
         def max_read(self) -> int:  # type: ignore[override]
             raise ZeroDivisionError("a bug of the face")
 
-    servo = SimulatedServo(Shaft(), ServoParameters(counts_per_rev=60_000))
+    servo = SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=60_000))
     with pytest.raises(ZeroDivisionError, match="a bug of the face"):
         _ask_once(Broken(servo, counts_per_rev=60_000))
 

@@ -8,7 +8,6 @@ from typing import Any
 import pytest
 from support.modbus_direct import DirectWire
 
-from drivers.drive import DriveState
 from drivers.errors import AbortError
 from drivers.modbus.codec import Layout, RegisterType, encode
 from drivers.modbus.endpoint import Endpoint, TcpEndpoint
@@ -16,6 +15,7 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, RegisterMap, RegisterRights
+from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import KEPT, Cia402Registers
 from sim_backends.modbus_registers import Face, Space
@@ -23,12 +23,6 @@ from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 COUNTS_PER_REV = 60_000  # one count/s is 0.001 rpm
-
-
-class Shaft:
-    friction_permille = 12.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None: ...
 
 
 def _access(face: Face, registers: RegisterMap) -> RegisterAccess:
@@ -41,7 +35,7 @@ def _access(face: Face, registers: RegisterMap) -> RegisterAccess:
 
 
 def _servo() -> SimulatedServo:
-    return SimulatedServo(Shaft(), ServoParameters(counts_per_rev=COUNTS_PER_REV, home_switch_counts=-20_000.0))
+    return SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=COUNTS_PER_REV, home_switch_counts=-20_000.0))
 
 
 def _cia402() -> tuple[Cia402Registers, RegisterAccess]:
@@ -167,38 +161,6 @@ def test_the_vendors_values_stand_where_the_map_says() -> None:
     )
 
 
-def test_the_vendors_readings_in_their_units() -> None:
-    face, access = _vendor()
-    servo = face.servo
-    assert isinstance(servo, SimulatedServo)
-    clock = SimClock()
-    clock.attach(servo.advance)
-    clock.attach(lambda now_ns, _dt: face.tick(now_ns))
-    access.write({"target": 600_000, "target_speed": 30_000, "ramp": 120_000})  # 300 rpm, 12 000 rpm/s
-    for name in ("servo_on", "trigger"):
-        access.write({name: 1})
-    clock.sleep_s(1.0)
-    registers = access.registers
-    reading = {name: registers[name].value_of(raw) for name, raw in access.read(("speed", "position", "lag")).items()}
-    assert reading["speed"] == pytest.approx(300.0)
-    assert reading["position"] == servo.position_actual_counts
-    assert reading["lag"] == servo.following_error_counts > 0
-    assert access.integers(["trigger", "in_position", "servo_is_on"]) == {
-        "trigger": 0,
-        "in_position": 0,
-        "servo_is_on": 1,
-    }
-    assert registers["temperature"].value_of(access.read(("temperature",))["temperature"]) == pytest.approx(31.5)
-    assert access.read(("name_plate",)) == {"name_plate": "VS-200A"}
-    assert access.read(("operating_time",)) == {"operating_time": 1000}
-    servo.raise_fault(0x7121)
-    assert access.integers(["alarm", "alarm_code", "servo_is_on"]) == {
-        "alarm": 1,
-        "alarm_code": 0x7121,
-        "servo_is_on": 0,
-    }
-
-
 def test_the_vendors_order_is_taken_late_and_in_position_stands_until_then() -> None:
     face, access = _vendor()
     servo = face.servo
@@ -237,22 +199,3 @@ def test_half_a_value_and_gaps_are_refused() -> None:
     words = encode("X", Layout(RegisterType.STRING, length=6))
     with pytest.raises(AbortError):
         access.link.write(1, access.registers["name_plate"].table, 200, words)
-
-
-def test_states_of_the_vendors_drive() -> None:
-    face, access = _vendor()
-    rules = load_drive_map("vendor_style").states
-
-    def state() -> DriveState:
-        raw = access.of_conditions([rule.condition for rule in rules])
-        return next(rule.state for rule in rules if rule.condition.holds(raw[rule.condition.register]))
-
-    assert state() is DriveState.SWITCH_ON_DISABLED
-    access.write({"servo_on": 1})
-    assert state() is DriveState.ENABLED
-    access.write({"emergency_stop": 1})
-    assert state() is DriveState.QUICK_STOP
-    access.write({"servo_on": 0, "emergency_stop": 0})
-    assert state() is DriveState.SWITCH_ON_DISABLED
-    face.servo.raise_fault(1)
-    assert state() is DriveState.FAULT

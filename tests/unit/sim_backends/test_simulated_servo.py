@@ -10,7 +10,7 @@ from sim_backends.faults import Fault, FaultKind
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.hysteresis import Backlash
 from sim_backends.plant.parameters import PlantParameters, ideal_axis
-from sim_backends.servo import FAULT_FOLLOWING_ERROR, MotionMode, Servo, ServoParameters, SimulatedServo
+from sim_backends.servo import FAULT_FOLLOWING_ERROR, ServoParameters, SimulatedServo
 
 REV = 1_000_000
 
@@ -30,11 +30,6 @@ class Rig:
             assert self.clock.now_ns() - start < limit_s * 1e9, f"{name} not within {limit_s} s"
             self.clock.sleep_s(0.01)
         return (self.clock.now_ns() - start) / 1e9
-
-
-def test_it_is_what_faces_expect() -> None:
-    servo: Servo = SimulatedServo(FeedAxis(ideal_axis()))  # mypy checks the rest
-    assert (servo.powered, servo.homed, servo.fault_code, servo.mode) == (False, False, 0, MotionMode.IDLE)
 
 
 @pytest.mark.parametrize("step_s", [0.001, 0.005, 0.01])
