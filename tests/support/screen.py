@@ -66,6 +66,13 @@ class Screen:
         """A button, until all that it does is done."""
         await asyncio.gather(*self.begins(name))
 
+    async def asked(self) -> list[str]:
+        """The lines of the question, once one is asked; none where something is told instead."""
+        async with asyncio.timeout(60.0):
+            while not any(one.value for one in self.all(ui.dialog)) and not self.told():
+                await asyncio.sleep(0.01)
+        return [one.text for one in self.all(ui.label) if one.props.get("data-name") == "question.line"]
+
     def quick_timers(self) -> Callable[[], None]:
         """Calls the timers that await nothing, once: the page's own refresh."""
 

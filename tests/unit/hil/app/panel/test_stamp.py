@@ -17,7 +17,7 @@ from hil.calibration import page
 from hil.desk.desk import Desk
 from hil.desk.event_log import Kind
 from hil.records.rows import to_csv
-from hil.ui.screen.texts import LANGUAGES, Texts
+from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import Button
 
 UNCERTAIN = "\n[uncertainty]\ndevice_um = 0.1\ndevice_um_per_m = 0.5\nvariation_um = 0.4\n"
@@ -65,13 +65,10 @@ def seen(desk: Desk, language: str = "en") -> dict[str, str]:
 
 
 @pytest.mark.parametrize(("limit_um", "outcome"), [(1000.0, "pass"), (0.5, "fail"), (A_UM, "undecided")])
-@pytest.mark.parametrize("language", LANGUAGES)
-def test_the_stamp_is_the_decision_on_a_and_its_uncertainty(
-    tmp_path: Path, limit_um: float, outcome: str, language: str
-) -> None:
+def test_the_stamp_is_the_decision_on_a_and_its_uncertainty(tmp_path: Path, limit_um: float, outcome: str) -> None:
     """ISO 14253-1: passed where A + U is within the limit, failed where A − U is beyond it, else nothing is proven."""
-    t = Texts(language)
-    found = seen(Desk(lay_out_verified(tmp_path, limit_um)), language)
+    t = Texts("de")
+    found = seen(Desk(lay_out_verified(tmp_path, limit_um)), "de")
     assert found["stamp"] == t(f"calibrate.stamp.{outcome}")
     assert [one for one in STAMPED if one in found["look"].split()] == [outcome]
     assert found["verified"].startswith(f"{t.number(A_UM, 2)} ± ")
@@ -149,16 +146,15 @@ def test_it_says_when_from_where_and_what_is_in_force(tmp_path: Path, monkeypatc
     assert "Browser 8" not in seen(Desk(axis))["stamped"]  # also after a restart, by the log on disk
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
-def test_a_mean_that_has_moved_stands_beside_the_decision(tmp_path: Path, language: str) -> None:
+def test_a_mean_that_has_moved_stands_beside_the_decision(tmp_path: Path) -> None:
     """Corrected rows 2 µm either way have their mean at zero; 3 µm further it is said, with its number."""
-    t = Texts(language)
+    t = Texts("de")
     axis = lay_out_verified(tmp_path, 1000.0)
     rows = campaign(lambda c: 2.0 * c["direction"], noise_um=0.0, scatter=0.0, runs=5, targets=6)
     path = axis.store.directory / "verify-001/verify.csv"
     for aside_um, said in ((0.0, False), (3.0, True)):
         there = rows.with_column("measured_mm", rows["measured_mm"] + aside_um / 1000.0)
         path.write_text(f"# begun {BEGUN}\n{to_csv(there)}")
-        found = seen(Desk(load_axis(axis.path)), language)
+        found = seen(Desk(load_axis(axis.path)), "de")
         moved = t("calibrate.decided.moved", mean=t.number(3.0, 2, sign=True), spread=t.number(0.0, 2))
         assert (moved in found["decision"]) == said, found["decision"]

@@ -28,7 +28,7 @@ from hil.diagnosis import page as diagnosis
 from hil.lost_motion import page as lost_motion
 from hil.machine.events import Event
 from hil.parameters import page as parameters
-from hil.ui.screen.texts import LANGUAGES, Texts
+from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import Button
 
 FREE = {
@@ -76,19 +76,16 @@ def running(
 
 @pytest.mark.parametrize("page", [page for page in PAGES if not page.several], ids=lambda page: page.name)
 def test_nothing_that_needs_control_is_lit_without_it_and_each_says_why(page: object, desk: Desk) -> None:
-    """In each language."""
-
     async def work() -> None:
-        for language in LANGUAGES:
-            screen = Screen(desk, page.draw, language)  # type: ignore[attr-defined]
-            await screen.refreshes()
-            why = Texts(language)("why.control")
-            shown = [one for one in screen.all(Button) if is_visible(one) and one.props["data-name"] not in FREE]
-            shown = [one for one in shown if not one.props["data-name"].endswith(FIXES)]
-            lit = [one.props["data-name"] for one in shown if one.enabled]
-            assert not lit
-            for button in shown:
-                assert why in [label.text for label in button.descendants() if isinstance(label, ui.label)]
+        screen = Screen(desk, page.draw)  # type: ignore[attr-defined]
+        await screen.refreshes()
+        why = Texts("en")("why.control")
+        shown = [one for one in screen.all(Button) if is_visible(one) and one.props["data-name"] not in FREE]
+        shown = [one for one in shown if not one.props["data-name"].endswith(FIXES)]
+        lit = [one.props["data-name"] for one in shown if one.enabled]
+        assert not lit
+        for button in shown:
+            assert why in [label.text for label in button.descendants() if isinstance(label, ui.label)]
 
     inside(work)
 
@@ -177,12 +174,11 @@ def test_a_loop_with_passes_in_motion_has_their_steps_too() -> None:
     assert found == [(number, 8) for number in (4, 5, 6, 7, 8)]
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
-def test_the_bar_names_job_and_step(language: str, desk: Desk, until: Until) -> None:
+def test_the_bar_names_job_and_step(desk: Desk, until: Until) -> None:
     async def work() -> None:
         tell(Event("round-1", "20.000 mm", 3, 16))
-        screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]), language)
-        t = Texts(language)
+        screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]), "de")
+        t = Texts("de")
         assert screen.named("header.job").text == t("job.calibrate")
         assert screen.named("header.number").text == t("bar.step", number=2, count=3)
         said = f"{t.said('20.000')} mm (3/16)"
@@ -247,14 +243,6 @@ def test_a_job_that_did_not_find_what_it_was_for_is_not_done(
         )
 
 
-async def asked(screen: Screen) -> list[str]:
-    """The lines of the question, once one is asked."""
-    async with asyncio.timeout(60.0):
-        while not any(one.value for one in screen.all(ui.dialog)):
-            await asyncio.sleep(0.01)
-    return [one.text for one in screen.all(ui.label) if one.props.get("data-name") == "question.line"]
-
-
 def test_a_question_before_writing_names_parameter_old_and_new_value_and_unit(tmp_path: Path, until: Until) -> None:
     write_keys(tmp_path)
     with Desk(load_drive_axis(backlash_axis.lay_out(tmp_path, "canopen")), pace=0.0) as connected:
@@ -279,7 +267,7 @@ def test_a_question_before_writing_names_parameter_old_and_new_value_and_unit(tm
         async def work() -> None:
             screen = Screen(connected, backlash.draw, token=token)
             writing = screen.begins("backlash.write")
-            assert wanted in await asked(screen)
+            assert wanted in await screen.asked()
             assert screen.named("question.yes").text == Texts("en")("go.backlash_write") == "Write the value"
             assert screen.named("question.no").text == "Cancel"
             for task in writing:
@@ -289,19 +277,16 @@ def test_a_question_before_writing_names_parameter_old_and_new_value_and_unit(tm
         inside(work)
 
 
-@pytest.mark.parametrize(
-    ("searched", "typed", "answer"),
-    [
-        ("following window", "1234", "6065h:00 following error window: 20000 → 1234 counts"),
-        ("6066h", "0x64", "6066h:00 following error time out: 50 → 100 ms"),
-        ("window", "-1", "-1 does not fit U32"),
-        ("window", "far", "expected a whole number"),
-        ("serial", "", "1018h:04 serial number · 1 · is read only"),
-    ],
+CHANGES = (
+    ("following window", "1234", "6065h:00 following error window: 20000 → 1234 counts"),
+    ("6066h", "0x64", "6066h:00 following error time out: 50 → 100 ms"),
+    ("window", "-1", "-1 does not fit U32"),
+    ("window", "far", "expected a whole number"),
 )
-def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(
-    searched: str, typed: str, answer: str, tmp_path: Path, until: Until
-) -> None:
+"""What is searched for and typed, and what is asked or told then."""
+
+
+def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(tmp_path: Path, until: Until) -> None:
     write_keys(tmp_path)
     with Desk(load_drive_axis(backlash_axis.lay_out(tmp_path, "canopen")), pace=0.0) as connected:
         until(lambda: connected.live.connected, "the axis is looked at")
@@ -311,7 +296,7 @@ def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(
         until(lambda: not connected.job().running, "it is read")  # type: ignore[union-attr]
         until(lambda: connected.live.connected, "the axis is looked at again")
 
-        async def work() -> None:
+        def found(searched: str) -> Screen:
             screen = Screen(connected, parameters.draw, token=token)
             refresh = screen.quick_timers()
             refresh()
@@ -319,20 +304,21 @@ def test_a_parameter_is_found_and_changed_by_the_question_of_a_download(
             assert len(screen.named("parameters.all").rows) < 5
             begun_by(screen.named("parameters.search"), "keydown.enter")  # the first that was found
             refresh()
-            if not typed:
-                assert answer in screen.named("parameters.edit.what").text
-                assert not screen.named("parameters.change").visible
-                return
-            screen.named("parameters.edit.value").set_value(typed)
-            writing = screen.begins("parameters.change")
-            async with asyncio.timeout(60.0):
-                while not any(one.value for one in screen.all(ui.dialog)) and not screen.told():
-                    await asyncio.sleep(0.01)
-            lines = [one.text for one in screen.all(ui.label) if one.props.get("data-name") == "question.line"]
-            assert any(answer in line for line in (*lines, *screen.told())), (lines, screen.told())
-            assert bool(lines) is ("→" in answer)
-            for task in writing:
-                task.cancel()
-            await asyncio.gather(*writing, return_exceptions=True)
+            return screen
+
+        async def work() -> None:
+            for searched, typed, answer in CHANGES:
+                screen = found(searched)
+                screen.named("parameters.edit.value").set_value(typed)
+                writing = screen.begins("parameters.change")
+                lines = await screen.asked()
+                assert any(answer in line for line in (*lines, *screen.told())), (lines, screen.told())
+                assert bool(lines) is ("→" in answer)
+                for task in writing:
+                    task.cancel()
+                await asyncio.gather(*writing, return_exceptions=True)
+            screen = found("serial")
+            assert "1018h:04 serial number · 1 · is read only" in screen.named("parameters.edit.what").text
+            assert not screen.named("parameters.change").visible
 
         inside(work)

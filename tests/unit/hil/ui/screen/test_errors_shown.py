@@ -108,9 +108,7 @@ def test_nothing_typed_stays_when_the_asking_is_cut_off(draw: Draw, button: str,
     async def work() -> None:
         screen = Screen(desk, draw)
         asking = screen.begins(button)
-        async with asyncio.timeout(60.0):
-            while not any(one.value for one in screen.all(ui.dialog)):
-                await asyncio.sleep(0)
+        await screen.asked()
         screen.named(asked).value = "secret"
         for task in asking:
             task.cancel()

@@ -24,7 +24,6 @@ from hil.diagnosis.loop.procedure import Turning
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion import page as lost_motion_page
 from hil.ui.screen.pieces import Reading
-from hil.ui.screen.texts import LANGUAGES
 from hil.ui.screen.view import View
 
 
@@ -36,7 +35,7 @@ def desk(tmp_path: Path) -> Desk:
 class Answered(Screen):
     """A page whose jobs are answered `yes` and not run."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, desk: Desk, draw: Draw, language: str = "en") -> None:
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, desk: Desk, draw: Draw) -> None:
         self.yes, self.jobs = True, list[Job]()
 
         async def answer(_view: View, job: Job) -> bool:
@@ -44,19 +43,18 @@ class Answered(Screen):
             return self.yes
 
         monkeypatch.setattr(View, "ask_and_run", answer)
-        super().__init__(desk, draw, language)
+        super().__init__(desk, draw)
 
 
 def draw_loop(view: View) -> None:
     loop_page.draw_loop(view, cast(Any, view.desk.axis), Reading(view, lambda: cast(Any, None)))
 
 
-@pytest.mark.parametrize("language", LANGUAGES)
 def test_a_new_zero_is_asked_for_by_a_switch_named_in_the_question_and_switched_off_again(
-    desk: Desk, monkeypatch: pytest.MonkeyPatch, language: str
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def work() -> None:
-        screen = Answered(monkeypatch, desk, calibrate_page.draw, language)
+        screen = Answered(monkeypatch, desk, calibrate_page.draw)
         t = screen.view.t
         switches = [screen.named(f"calibrate.{name}") for name in ("new_zero", "instrument_zeroed")]
         await screen.presses("calibrate.start")
