@@ -160,6 +160,10 @@ class FaultLayer:
         self._send, self._handle, self._tick, self._due_ns = send, handle, tick, due_ns
         self._boot, self._emergency, self._lose_power, self._profile = boot, emergency, lose_power, profile
 
+    def add(self, faults: Iterable[CanFault]) -> None:
+        """Add faults to those there are, from the thread that passes the time."""
+        self._faults += [_Armed(fault) for fault in faults]
+
     def _strikes(self, *kinds: CanFaultKind) -> _Armed | None:
         for armed in self._faults:
             if armed.fault.kind in kinds and armed.strikes(self._now_ns):

@@ -45,8 +45,14 @@ class FaultSchedule:
     """The faults of one part, in time order. A fault of duration 0 is returned exactly once."""
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
-        self._faults = sorted(faults, key=lambda fault: fault.at_s)
-        self._done: set[int] = set()
+        self._faults: list[Fault] = []
+        self._done: set[int] = set()  # identities: of two faults that are alike each happens
+        self.next_s = math.inf
+        self.add(faults)
+
+    def add(self, faults: Iterable[Fault]) -> None:
+        """Add faults to those there are."""
+        self._faults = sorted([*self._faults, *faults], key=lambda fault: fault.at_s)
         self.next_s = self._faults[0].at_s if self._faults else math.inf
 
     def active(self, time_s: float) -> list[Fault]:
@@ -54,12 +60,12 @@ class FaultSchedule:
         if time_s < self.next_s:
             return []
         found = []
-        for number, fault in enumerate(self._faults):
+        for fault in self._faults:
             if fault.at_s > time_s:
                 break
             if fault.duration_s == 0.0:
-                if number not in self._done:
-                    self._done.add(number)
+                if id(fault) not in self._done:
+                    self._done.add(id(fault))
                     found.append(fault)
             elif time_s < fault.at_s + fault.duration_s:
                 found.append(fault)

@@ -89,6 +89,10 @@ class SimulatedLaser:
         """Replace the schedule of faults."""
         self._faults = FaultSchedule(faults)
 
+    def add_faults(self, faults: tuple[Fault, ...]) -> None:
+        """Add to the schedule of faults, while the laser runs."""
+        self._faults.add(faults)
+
     # -- time ----------------------------------------------------------------------------------------------------------
     def _due_ns(self, number: int) -> int:
         return self._start_ns + round(number * _NS / self.parameters.rate_hz)

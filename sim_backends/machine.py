@@ -87,6 +87,10 @@ class CanDrive:
         bench.clock.attach(lambda now_ns, _dt_s: self._layer.tick(now_ns), bearable=self._bearable)
         self.slave.boot(bench.clock.now_ns())
 
+    def add_faults(self, faults: tuple[CanFault, ...]) -> None:
+        """Add faults of the bus and of the node, from the thread that serves."""
+        self._layer.add(faults)
+
     def _bearable(self, now_ns: int) -> int:
         due_ns = self._layer.due_ns()
         return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)

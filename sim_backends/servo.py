@@ -153,6 +153,11 @@ class SimulatedServo:
         self._fault_change_ns = 0
         self._plan_faults()
 
+    def add_faults(self, faults: tuple[Fault, ...]) -> None:
+        """Add to the schedule of faults, while the servo runs."""
+        self._faults.add(faults)
+        self._fault_change_ns = 0  # they may begin now
+
     def _plan_faults(self) -> None:
         change_s = self._faults.next_change_s(self._now_ns * 1e-9)
         self._fault_change_ns = _FAR_NS if math.isinf(change_s) else round(change_s * 1e9)

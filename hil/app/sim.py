@@ -17,6 +17,7 @@ from drivers.clock import WallClock
 from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.axis.connections import BENCH_MACHINES, BENCH_TABLES
+from hil.machine.simulated_file import axis_text, instrument_text
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_faults import CanFaultKind
 from sim_backends.canopen_strict import StrictSlave
@@ -25,71 +26,12 @@ from sim_backends.fault_text import Faults, fault_names, parse_faults
 from sim_backends.faults import FaultKind
 from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
 from sim_backends.homing import HOMING_METHODS
-from sim_backends.laser import LaserParameters
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
 from sim_backends.maker_file import read_maker_file
 from sim_backends.modbus_faults import WireFaultKind
 from sim_backends.own_table import known_table
 from sim_backends.reach import check_can, parse_tcp
 from sim_backends.serve import Pace, Shuttle, run_in_real_time
-
-
-def instrument_text(kind: str, port: str) -> str:
-    """The [instrument] section for one of `INSTRUMENT_KINDS`."""
-    where = f"port = {json.dumps(port)}"
-    if kind == "umd":
-        return f'kind = "umd"\n{where}\nplace_temps = {{ {LaserParameters().material_place} = 4 }}'
-    if kind == "nd2xx":
-        return f'kind = "nd2xx"\n{where}'
-    pattern = "mitutoyo" if kind == "mitutoyo" else "number"
-    return f'kind = "ascii"\n{where}\npattern = "{pattern}"\ndecimals = 4\nfault = "ERROR"'
-
-
-def axis_text(
-    parameters: BenchParameters, drive: dict[str, Any], instrument: str, counts_per_rev: int | None = None
-) -> str:
-    """An axis file for the machine, with targets over its whole travel. counts_per_rev: of a drive with a maker's own units.
-
-    drive: the keys of [drive]; "homing" is a table of it."""
-    limits, scaling = parameters.limits, parameters.scaling
-    if counts_per_rev is not None:
-        scaling = replace(scaling, encoder_counts_per_motor_rev=counts_per_rev)
-    keys = "\n".join(f"{name} = {_toml(value)}" for name, value in (drive | {"simulated": True}).items())
-    first, last = 0.01 * parameters.plant.length_mm, 0.99 * parameters.plant.length_mm
-    return f"""\
-# The machine of a running `hil sim`.
-
-[axis]
-name = "X"
-travel_min_mm = {limits.travel_min_mm!r}
-travel_max_mm = {limits.travel_max_mm!r}
-max_velocity_mm_s = {limits.max_velocity_mm_s!r}
-max_acceleration_mm_s2 = {limits.max_acceleration_mm_s2!r}
-
-[scaling]
-encoder_counts_per_motor_rev = {scaling.encoder_counts_per_motor_rev}
-feed_mm_per_shaft_rev = {scaling.feed_mm_per_shaft_rev!r}
-
-[drive]
-{keys}
-
-[instrument]
-{instrument}
-
-[measurement]
-first_mm = {first!r}
-last_mm = {last!r}
-sections = 11
-runs = 2
-velocity_mm_s = {min(100.0, limits.max_velocity_mm_s)!r}
-"""
-
-
-def _toml(value: Any) -> str:
-    if isinstance(value, dict):
-        return "{ " + ", ".join(f"{name} = {_toml(item)}" for name, item in value.items()) + " }"
-    return json.dumps(value)
-
 
 EXAMPLE = """\
 example: a machine in one terminal, its commissioning in another

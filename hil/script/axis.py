@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from hil.machine.supervisor import Supervisor
     from hil.script.parameters import Parameters
     from hil.script.procedure import Procedure
+    from sim_backends.bench import Bench
 
 
 def open_axis(
@@ -79,6 +80,7 @@ class Axis:
         self._shared = connection is not None
         self._stack = ExitStack()
         self._alone: Supervisor | None = None  # of a drive without an instrument
+        self._bench: Bench | None = None
         self._opened_ns = 0
         self._homed = False  # the datum is taken, and the history known
         self._last: tuple[float, float, int] | None = None  # target, command, direction of arrival
@@ -96,6 +98,15 @@ class Axis:
         from hil.script.parameters import Parameters  # noqa: PLC0415
 
         return Parameters(self.file, self._carry_out)
+
+    @property
+    def bench(self) -> Bench:
+        """The simulated machine of an axis file with backend "bench"; each connection begins with a new one. Raises CapabilityError on
+        hardware."""
+        self._require()
+        if self._bench is None:
+            raise CapabilityError(f"axis {self.name} is no simulated machine in this process")
+        return self._bench
 
     def __repr__(self) -> str:
         return f"<axis {self.name} of {self.file.path}{'' if self._connection else ', not open'}>"
@@ -129,8 +140,8 @@ class Axis:
         with ExitStack() as stack:
             with naming_who_is_there(self.file):
                 if isinstance(self.file, AxisConfig):
-                    session = stack.enter_context(connected(self.file, network=self._network)).session
-                    self._connection = Connection(session.drive, session)
+                    machine = stack.enter_context(connected(self.file, network=self._network))
+                    self._connection, self._bench = Connection(machine.session.drive, machine.session), machine.bench
                 else:
                     drive = stack.enter_context(connected_drive(self.file, network=self._network))
                     self._connection = Connection(drive, None)

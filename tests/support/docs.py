@@ -107,6 +107,9 @@ def run_commands(commands: Sequence[str], folder: Path, page: str) -> dict[str, 
         allowed = " -o ".join(f"$s -eq {status}" for status in sorted(statuses_of(command)))
         script.append(f"[ {allowed} ] || exit 99")
     environment = {name: value for name, value in os.environ.items() if name not in PASSWORDS}
+    environment |= {
+        "PYTEST_PLUGINS": "hil.testing.plugin"
+    }  # as installed, where the environment is of an earlier state
     environment |= {"COLUMNS": "120", "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
     if page != COMMISSIONING:  # which sets them itself
         environment |= PASSWORDS

@@ -45,6 +45,7 @@ EXCEPTIONS = {
     "hil.__getattr__": "Python calls it",
     "hil.diagnosis.__getattr__": "Python calls it",
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",
+    "hil.testing.plugin.pytest_addoption": "pytest calls it",
     "sim_backends.modbus_drive.ModbusServer.drop_connections": "a fault of a server that tests play",
     "sim_backends.serve.laser_pty": "a laser that tests attach",
 }
