@@ -55,6 +55,7 @@ class FaultyWire(DirectWire):
     connected: bool = True
     within_s: float = TIMEOUT_S
     order: list[str] = field(default_factory=list)
+    seen: list[tuple[int, int]] = field(default_factory=list)
     frozen: dict[tuple[object, ...], tuple[int, ...]] = field(default_factory=dict)
 
     def connect(self, within_s: float = math.inf) -> None:

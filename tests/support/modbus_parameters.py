@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from support.modbus_direct import DirectWire, pdu_of, values_of
 from support.parameter_faults import KilledError
 
 from drivers.errors import AbortError, NoAnswerError
@@ -157,21 +158,15 @@ class Fault:
     for_s: float = 0.0
 
 
-class FaultyLine:
+class FaultyLine(DirectWire):
     """A serial line in simulated time: 11 bits a character, the drive's processing time, and one fault."""
 
-    connected = True
-
     def __init__(self, face: FortyFace, clock: SimClock, fault: Fault, turnaround_s: float = 0.001) -> None:
-        self.face, self.clock, self.fault, self.turnaround_s = face, clock, fault, turnaround_s
+        super().__init__(face)
+        self.clock, self.fault, self.turnaround_s = clock, fault, turnaround_s
         self.exchanges = 0
         self.busy_s = 0.0
         self._gone_until_ns = 0
-
-    def connect(self, within_s: float = math.inf) -> None: ...
-    def disconnect(self) -> None: ...
-    def discard(self, silence_s: float) -> None: ...
-    def post(self, unit: int, requests: Sequence[Request]) -> None: ...
 
     def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
         self.exchanges += 1
@@ -187,14 +182,12 @@ class FaultyLine:
             self._silence()
         if struck == "abort":
             raise AbortError("refused", 4)
-        request_pdu = _pdu(request)
+        request_pdu = pdu_of(request)
         reply = answer(self.face, request_pdu)
         self._take(len(request_pdu), len(reply))
         if struck == "lost reply":
             self._silence()
-        if reply[0] & 0x80:
-            raise AbortError("refused", reply[1])
-        values = _values(request, reply)
+        values = values_of(request, reply)
         return (values[0] ^ 1, *values[1:]) if struck == "wrong value read" and values else values
 
     def _silence(self) -> None:
@@ -206,24 +199,6 @@ class FaultyLine:
         seconds = (request + reply + 6) * 11 / BAUD + 0.00175
         self.busy_s += seconds
         self.clock.sleep_s(seconds + self.turnaround_s)
-
-
-def _pdu(request: Request) -> bytes:
-    head = bytes((request.function,)) + request.address.to_bytes(2, "big")
-    if request.function == 6:
-        return head + request.values[0].to_bytes(2, "big")
-    if request.function == 16:
-        data = b"".join(value.to_bytes(2, "big") for value in request.values)
-        return head + request.count.to_bytes(2, "big") + bytes((len(data),)) + data
-    return head + request.count.to_bytes(2, "big")
-
-
-def _values(request: Request, reply: bytes) -> tuple[int, ...]:
-    if request.function == 2:
-        return tuple(reply[2 + number // 8] >> number % 8 & 1 for number in range(request.count))
-    if request.function == 3:
-        return tuple(int.from_bytes(reply[2 + 2 * number : 4 + 2 * number], "big") for number in range(request.count))
-    return ()
 
 
 @lru_cache

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import random
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from support.modbus_direct import DirectWire
 
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable
 from drivers.errors import AbortError, InputError, ProtocolError, StateError
@@ -18,52 +18,23 @@ from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
-from drivers.modbus.wire import Request
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
-from sim_backends.modbus_registers import Face, answer
+from sim_backends.modbus_registers import Face
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import SimulatedServo
 
-
-class Wire:
-    """Requests straight into a face; remembers the functions and counts."""
-
-    connected = True
-
-    def __init__(self, face: Face) -> None:
-        self.face = face
-        self.seen: list[tuple[int, int]] = []
-
-    def connect(self, within_s: float = math.inf) -> None: ...
-    def disconnect(self) -> None: ...
-    def discard(self, silence_s: float) -> None: ...
-    def post(self, unit: int, requests: Sequence[Request]) -> None: ...
-
-    def exchange(self, unit: int, request: Request, within_s: float = math.inf) -> tuple[int, ...]:
-        self.seen.append((request.function, request.count))
-        pdu = bytes((request.function,)) + request.address.to_bytes(2, "big")
-        words = b"".join(value.to_bytes(2, "big") for value in request.values)
-        if request.function == 16:
-            pdu += request.count.to_bytes(2, "big") + bytes((len(words),))
-        pdu += words if request.function in (6, 16) else request.count.to_bytes(2, "big")
-        reply = answer(self.face, pdu)
-        if reply[0] & 0x80:
-            raise AbortError("refused", reply[1])
-        return tuple(int.from_bytes(reply[at : at + 2], "big") for at in range(2, len(reply), 2)) if pdu[0] == 3 else ()
-
-
-Made = tuple[ModbusCorrectionTable, Wire, SimulatedServo, WearLedger]
+Made = tuple[ModbusCorrectionTable, DirectWire, SimulatedServo, WearLedger]
 
 
 def made(name: str) -> Made:
     servo = SimulatedServo(BareShaft())
     face: Face = VendorRegisters(servo, counts_per_rev=1000) if name == "vendor_style" else Cia402Registers(servo)
-    wire = Wire(face)
+    wire = DirectWire(face)
     clock = SimClock()
 
-    def make_wire(_endpoint: Endpoint) -> Wire:
+    def make_wire(_endpoint: Endpoint) -> DirectWire:
         return wire
 
     link = ModbusLink(TcpEndpoint("nowhere"), clock, make_wire=make_wire)
@@ -136,19 +107,13 @@ def test_eeprom_is_spared_and_its_budget_kept() -> None:
     assert made("cia402_over_modbus")[0].changes_left() is None
 
 
-def test_a_count_or_a_switch_that_cannot_be_is_said() -> None:
+def test_a_count_that_cannot_be_is_said() -> None:
     table, wire, _, _ = made("cia402_over_modbus")
     face = wire.face
     assert isinstance(face, Cia402Registers)
     face.table.numbers["count"] = 129
     with pytest.raises(ProtocolError, match="says it holds 129 points, its map 128"):
         table.read()
-    object.__setattr__(table._blocks, "on", 7)
-    face.table.own.enabled = True
-    with pytest.raises(
-        ProtocolError, match=r"the switch of error map \(table_active\) is 1, expected 7 \(on\) or 0 \(off\)"
-    ):
-        table.enabled()
 
 
 # -- the map -----------------------------------------------------------------------------------------------------------

@@ -63,18 +63,6 @@ def test_damaged_lines(tmp_path: Path, data: st.DataObject) -> None:
     _load(tmp_path / "model.toml", "\n".join(lines))
 
 
-@pytest.mark.outside
-@pytest.mark.parametrize("name", sorted(TEXTS))
-def test_every_key_given_every_kind_of_value(tmp_path: Path, name: str) -> None:
-    """One key of each section at a time; every value that loads must be one that the section may hold."""
-    lines = TEXTS[name].splitlines()
-    sections = [number for number, line in enumerate(lines) if "=" in line and not line.lstrip().startswith(("#", "{"))]
-    for number in sections[:: max(1, len(sections) // 4)]:
-        for value in VALUES:
-            changed = [*lines[:number], f"{lines[number].partition('=')[0]}= {value}", *lines[number + 1 :]]
-            _load(tmp_path / "model.toml", "\n".join(changed))
-
-
 def test_a_file_that_is_no_text_and_one_that_is_not_there(tmp_path: Path) -> None:
     path = tmp_path / "model.toml"
     path.write_bytes(b"[map]\xff")

@@ -65,11 +65,6 @@ def test_replies_tell_requests_apart_as_far_as_modbus_lets_them() -> None:
     assert write(Table.HOLDING, 5, (1, 1)).echo != write(Table.HOLDING, 6, (1, 1)).echo
 
 
-def test_requests_speak_for_themselves() -> None:
-    assert str(Request.read(Table.HOLDING, Span(3, 1))) == "read of register 3 (function 3)"
-    assert str(Request.write(Table.COIL, 3, (1, 0))) == "write of bits 3 to 4 (function 15)"
-
-
 def test_the_unit_id_has_had_three_names() -> None:
     """pymodbus renamed the keyword twice; a release that renames it again is found here and not at the machine."""
     assert unit_keyword(ModbusTcpClient("nowhere").read_holding_registers) == "device_id"

@@ -12,7 +12,7 @@ from drivers.errors import CapabilityError, InputError
 from drivers.modbus.codec import Order, RegisterType
 from drivers.modbus.drive_map import Handshake
 from drivers.modbus.map_loader import load_drive_map, load_register_map
-from drivers.modbus.plan import Span, Table, WireCost, plan_reads
+from drivers.modbus.plan import Span, Table
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, RegisterRights, find_map, shipped_maps
 from drivers.modbus.touch_probe import ModbusTouchProbe
@@ -181,14 +181,6 @@ def test_a_bad_register_is_refused_with_its_place(write: Write, base: str, body:
     assert caught.value.line >= 6  # the header of [registers.it], or the key's own line
 
 
-def test_the_line_is_that_of_the_key(write: Write) -> None:
-    path = write(one_register("pdu0", 'address = 1\ntable = "holding"\ntype = "u16"\nscael = 0.1\n'))
-    with pytest.raises(
-        InputError, match=r"model.toml:10: \[registers.it\] unknown key scael, the nearest known one is scale"
-    ):
-        load_register_map(path)
-
-
 def replaced(old: str, new: str) -> str:
     assert SMALL.count(old) >= 1, old
     return SMALL.replace(old, new, 1)
@@ -268,7 +260,6 @@ arm = [{ register = "control", mask = 0x20, value = 0x20 }]
 latched = [{ register = "status", bit = "reached" }]
 position = "position"
 """
-SIGNED = SMALL.replace('type = "u32"\nunit = "counts/s"', 'type = "i32"\nunit = "counts/s"')
 
 
 @pytest.mark.parametrize(
@@ -383,14 +374,6 @@ def test_the_shipped_maps_are_complete_and_of_different_shape() -> None:
     assert vendor.registers["name_plate"].access is RegisterRights.RO
     assert vendor.registers["origin_offset"].memory is Memory.EEPROM
     assert cia402.registers["statusword"].span == Span(0x2000, 1)
-
-
-@pytest.mark.parametrize(("name", "requests"), [("cia402_over_modbus", 1), ("vendor_style", 2)])
-def test_a_sample_of_a_shipped_map_is_one_request_per_table(name: str, requests: int) -> None:
-    drive = load_drive_map(name)
-    wanted = [drive.registers[each].place for each in drive.sampled()]
-    plan = plan_reads(wanted, WireCost.rtu(115_200), gaps_readable=drive.registers.gaps_readable)
-    assert len(plan.requests) == requests
 
 
 @pytest.mark.parametrize(
