@@ -66,7 +66,7 @@ class FittedWindUp:
 
 
 @dataclass(frozen=True)
-class _Polynomial:
+class Polynomial:
     """A polynomial fitted to a flank; covariance of its coefficients from the residual, widened for few points."""
 
     centre: float
@@ -103,7 +103,7 @@ class _Polynomial:
 class _Flank:
     """A fitted flank, where it meets the sliding level, and the travel it was fitted over."""
 
-    curve: _Polynomial
+    curve: Polynomial
     meet: float
     over_um: tuple[float, float]
 
@@ -188,16 +188,16 @@ def _flank(travel: Floats, torque: Floats, meet: float, level: float) -> _Flank 
             break
         x, y = travel[part], torque[part]
         curved = int(part.sum()) >= _FEWEST_CURVED
-        curve = _fit(x, y, 2 if curved else 1)
+        curve = fit_polynomial(x, y, 2 if curved else 1)
         met = curve.meets(level, meet)
         if np.isfinite(met) and x[0] < met < travel[-1]:
             found = _Flank(curve, met, (float(x[0]), float(x[-1])))
-            if not curved or not any(_explains_more(_fit(x, y, degree), curve) for degree in (3, 4)):
+            if not curved or not any(explains_more(fit_polynomial(x, y, degree), curve) for degree in (3, 4)):
                 break
     return found
 
 
-def _explains_more(more: _Polynomial, fewer: _Polynomial) -> bool:
+def explains_more(more: Polynomial, fewer: Polynomial) -> bool:
     """Whether further coefficients improve the fit significantly (F test)."""
     if more.rss <= 0.0:
         return False
@@ -206,7 +206,8 @@ def _explains_more(more: _Polynomial, fewer: _Polynomial) -> bool:
     return bool(scipy.special.fdtrc(added, more.freedom, gain) < _F_TEST_LEVEL)
 
 
-def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:
+def fit_polynomial(x: Floats, y: Floats, degree: int) -> Polynomial:
+    """Least squares over x, y, shape (n,), about the mean of x."""
     centre = float(x.mean())
     rows = np.vander(x - centre, degree + 1, increasing=True)
     coefficients: Floats = np.asarray(np.linalg.lstsq(rows, y, rcond=None)[0], dtype=np.float64)
@@ -214,13 +215,13 @@ def _fit(x: Floats, y: Floats, degree: int) -> _Polynomial:
     freedom = max(1, len(x) - degree - 1)
     residual = max(_student(freedom) ** 2 * rss / freedom, _ROUNDING_VARIANCE)
     covariance = np.asarray(np.linalg.inv(rows.T @ rows) * residual, dtype=np.float64)
-    return _Polynomial(centre, coefficients, covariance, rss, freedom)
+    return Polynomial(centre, coefficients, covariance, rss, freedom)
 
 
 def _result(trace: ReversalTrace, flank: _Flank, sliding: Mask) -> FittedWindUp | None:
     travel, torque, meet = trace.travel_um, trace.rising_percent, flank.meet
     slope = flank.curve.slope(meet)
-    tail = _fit(travel[sliding], torque[sliding], 1)
+    tail = fit_polynomial(travel[sliding], torque[sliding], 1)
     if slope <= 0.0 or tail.slope(meet) > _STILL_RISING_SHARE * slope:
         return None  # it has not broken away
     variance = flank.curve.variance(meet) + _level_variance(trace, sliding, tail.slope(meet))

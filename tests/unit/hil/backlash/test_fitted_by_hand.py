@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.backlash.fitted import FittedWindUp, _explains_more, _fit, _Polynomial, fit_wind_up
+from hil.backlash.fitted import FittedWindUp, Polynomial, explains_more, fit_polynomial, fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion, mean_um, reversal_json
 from hil.backlash.trace import ReversalTrace, crept_trace, read_trace
 
@@ -199,8 +199,8 @@ def test_a_clearance_is_no_level_of_sliding() -> None:
         assert (fit_wind_up(trace) is not None) is there, level
 
 
-def polynomial(rss: float, freedom: int) -> _Polynomial:
-    return _Polynomial(0.0, np.zeros(1), np.zeros((1, 1)), rss, freedom)
+def polynomial(rss: float, freedom: int) -> Polynomial:
+    return Polynomial(0.0, np.zeros(1), np.zeros((1, 1)), rss, freedom)
 
 
 def test_further_coefficients_must_explain_more_than_luck_would() -> None:
@@ -208,8 +208,8 @@ def test_further_coefficients_must_explain_more_than_luck_would() -> None:
     for more, added, f in ((10, 1, 10.04), (20, 2, 5.85)):
         for factor, better in ((1.01, True), (0.99, False)):
             fewer = polynomial(1.0 * more + added * f * factor, more + added)
-            assert _explains_more(polynomial(1.0 * more, more), fewer) is better, (more, factor)
-    assert not _explains_more(polynomial(0.0, 5), polynomial(1.0, 6))
+            assert explains_more(polynomial(1.0 * more, more), fewer) is better, (more, factor)
+    assert not explains_more(polynomial(0.0, 5), polynomial(1.0, 6))
 
 
 def test_a_line_through_four_places() -> None:
@@ -217,21 +217,21 @@ def test_a_line_through_four_places() -> None:
 
     Covariance: 2.19527² · 0.9 = 4.33731 by 1/4 and by 1/5; at 5 it is 4.33731·(1/4 + 3.5²/5) = 11.71073.
     """
-    line = _fit(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 2.0, 1.0, 3.0]), 1)
+    line = fit_polynomial(np.array([0.0, 1.0, 2.0, 3.0]), np.array([0.0, 2.0, 1.0, 3.0]), 1)
     assert (line.centre, line.rss, line.freedom) == (1.5, pytest.approx(1.8), 2)
     assert line.coefficients == pytest.approx([1.5, 0.8])
     assert line.covariance == pytest.approx(np.diag([4.33731 / 4, 4.33731 / 5]), rel=1e-4)
     assert line.variance(5.0) == pytest.approx(11.71073, rel=1e-4)
     assert line.slope(9.0) == pytest.approx(0.8)
     assert line.meets(4.0, 0.0) == pytest.approx(1.5 + 2.5 / 0.8)
-    exact = _fit(np.array([0.0, 1.0]), np.array([0.0, 1.0]), 1)
+    exact = fit_polynomial(np.array([0.0, 1.0]), np.array([0.0, 1.0]), 1)
     assert exact.freedom == 1
     assert exact.covariance == pytest.approx(np.diag([R / 2, R / 0.5]), rel=1e-5)
 
 
 def test_where_a_parabola_is_met_and_that_it_may_never_be() -> None:
     """2 + 3 u - u² about 10: slope 3 - 2 u; 4 at u = 1; 4.25 is its top at 1.5; beyond that it falls, and 5 is never reached."""
-    curve = _Polynomial(10.0, np.array([2.0, 3.0, -1.0]), np.zeros((3, 3)), 0.0, 1)
+    curve = Polynomial(10.0, np.array([2.0, 3.0, -1.0]), np.zeros((3, 3)), 0.0, 1)
     assert curve.slope(11.0) == pytest.approx(1.0)
     assert curve.meets(4.0, 10.0) == pytest.approx(11.0)
     assert curve.meets(4.0, 11.3) == pytest.approx(11.0)  # from beyond: the first step leads back

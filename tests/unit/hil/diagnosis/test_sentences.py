@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -14,7 +18,7 @@ from hil.diagnosis.follow_up import ALONE_MIN
 from hil.diagnosis.model.rivals import separating
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
-from hil.diagnosis.page_data import ShownFinding, _finding
+from hil.diagnosis.page_data import ShownFinding, read_shown
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
@@ -22,6 +26,7 @@ from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
 from hil.ui.report.data import NamedCampaign
+from hil.ui.screen.campaigns import Measurement
 from hil.ui.screen.texts import LANGUAGES, Texts
 
 FIGURE = re.compile(r"-?[\d.]+ ± [\d.]+")
@@ -229,14 +234,17 @@ def test_figures_to_so_many_digits() -> None:
     ],
 )
 def test_screen_and_report_say_the_ends_where_plus_minus_does_not_say_as_much(
-    ends: dict[str, float], panel: str, report: str
+    ends: dict[str, float], panel: str, report: str, tmp_path: Path
 ) -> None:
     told = {
         "effect": "thermal_drift",
         "parameters": {"drift_um": {"value": 4.7, "std": 0.3, **ends}},
         "explanation": "It drifts.",
     }
-    shown = _finding(told, None, {"name": "warming since the start", "inputs": ["time_s"]})
+    stored = tmp_path / "x.diagnosis.json"
+    drawn = {"forms": [{"name": "warming since the start", "inputs": ["time_s"]}]}
+    stored.write_text(json.dumps({"findings": [told], "drawn": drawn}))
+    (shown,) = read_shown(cast(Measurement, SimpleNamespace(diagnosis=stored, paths=()))).findings
     ((name, value, std),) = shown.parameters
     said = Texts("en").estimate(value, std, "µm", shown.intervals.get(name))
     assert said == panel

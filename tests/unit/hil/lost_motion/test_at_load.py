@@ -7,7 +7,7 @@ import pytest
 
 from drivers.errors import InputError
 from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, TWO_TANH, Floats, Rise
-from hil.lost_motion.at_load import LengthBounds, StrokePositions, _most_um, fit_at_load, load_mm
+from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, load_mm
 from hil.lost_motion.estimate import Estimate, determined, estimate, separately_determined, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, fit, uncertainties
 
@@ -118,9 +118,11 @@ def test_a_search_may_begin_at_a_bound_of_it(amount_um: float, length_mm: float)
 
 
 def test_an_amount_is_searched_up_to_twice_the_largest_lag() -> None:
-    """40 µm of lag: 80 µm, and a nanometre for a load that follows at once."""
-    motor, stroke = np.array([0.0, 0.1, 0.2]), np.zeros(3, dtype=np.int64)
-    assert _most_um(StrokePositions(motor, motor - [0.0, 0.04, 0.03], stroke)) == pytest.approx(80.001)
+    """A lag in proportion to the travel, up to 40 µm, which any amount over a length to match explains: 80 µm at the most."""
+    motor = np.linspace(0.0, 0.2, 30)
+    places = StrokePositions(motor, 0.8 * motor, np.zeros(len(motor), dtype=np.int64))
+    found = fit_at_load(Rise(TANH, (5.0,), (0.05,)), places, LengthBounds(0.001, 3.0, 1.0))
+    assert found.amount_um == pytest.approx(80.0, abs=0.5)
 
 
 def test_a_load_that_follows_at_once_has_no_rise() -> None:
