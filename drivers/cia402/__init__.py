@@ -7,9 +7,9 @@ A wire gives (EtherCAT's, for instance: CoE for the objects, the cyclic process 
 
 - `wire.ObjectAccess`: one object read, read if shown, or written, each answered before the call returns; a refusal with its code;
 - `wire.ProcessImage`: the values received last and when, and `refresh`, which returns values of a later moment than the call;
-- a subclass of `drive.Cia402Drive`: `open` connects and calls `_take_up`, nothing enabled or moved; `_send_word` sends a controlword that
-  stops at once, by every way, without waiting or a lock; `_glance` and `_look` show the axis while it is shut down; `_put_back`,
-  `_answers` and `_release` end it; `capabilities`, and `_stream` where set-points are cyclic.
+- a subclass of `drive.Cia402Drive`: `open` connects and calls `_take_up`, nothing enabled or moved; `_send_word` sends a controlword
+  that stops, at once, by every way, without waiting or a lock; `_glance` and `_look` show the axis while it is shut down;
+  `_put_back`, `_answers` and `_release` end it; `capabilities`, and `_stream` where set-points are cyclic.
 
 `tests/support/cia402_wires.py` has the smallest one; `tests/contract/test_cia402.py` is run over each.
 """
