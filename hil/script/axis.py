@@ -62,7 +62,7 @@ def open_axis(
 
 
 class Axis:
-    """A context manager; made by `hil.open`. Jobs begin anew: `home()` again before moving on after one."""
+    """A context manager, made by `hil.open`. After a job, call `home()` again before moving on."""
 
     def __init__(
         self,
@@ -89,7 +89,7 @@ class Axis:
 
     @property
     def name(self) -> str:
-        """As the axis file has it."""
+        """Name of the axis in its file."""
         return self.file.name
 
     @property
@@ -127,7 +127,7 @@ class Axis:
         self._moves, self._opened_ns, self._homed = moves, begun_ns, True
 
     def forget(self) -> None:
-        """Its owner disconnects it."""
+        """The connection is closed by its owner; forget it."""
         self._connection = None
 
     def _connect(self) -> None:
@@ -203,8 +203,7 @@ class Axis:
         return self._reading(drive.sample(), None, raw_mm=raw_mm)
 
     def watch(self, seconds: float, every_s: float = 0.05) -> Iterator[AxisReading]:
-        """Look at the axis for so long, and yield what is seen as it comes. Raises what is wrong with drive or instrument; then the
-        axis is stopped."""
+        """Yield readings for this time, as they come. An error of drive or instrument is raised, and the axis is stopped."""
         axis, clock = self._supervisor.axes[0], self._require().drive.clock
         deadline, due_ns = clock.deadline(seconds), clock.now_ns()
         while not deadline.expired:
@@ -318,7 +317,7 @@ class Axis:
         return self.file.measurement.velocity_mm_s
 
     def disable(self) -> None:
-        """Take the axis out of power."""
+        """Switch the power of the drive off."""
         connection = self._require()
         connection.drive.disable()
         self._homed, self._last = False, None
@@ -357,7 +356,7 @@ class Axis:
 
     # -- jobs ----------------------------------------------------------------------------------------------------------
     def doctor(self, *, move: bool = True, trust_file: bool = False, home: bool = False) -> DoctorResult:
-        """Preflight, as `hil doctor`."""
+        """Check the axis, as `hil doctor`."""
         from hil.doctor.procedure import doctor  # noqa: PLC0415  (drivers load slowly)
 
         self._measured_file()
@@ -425,7 +424,7 @@ class Axis:
     def lost_motion(
         self, *, store: bool = True, seed: int = 1, resume: bool = False, **how: Unpack[Reversing]
     ) -> ReversalResult:
-        """Lost motion after a reversal by the instrument, as `hil lost-motion`. store: put it into force where it proves itself.
+        """Lost motion after a reversal by the instrument, as `hil lost-motion`. store: whether it is put into force once it is proven.
 
         Raises NoLostMotionError where there is nothing to correct.
         """
@@ -450,7 +449,8 @@ class Axis:
         feeds_mm_s: Sequence[float] = (),
         resume: bool = False,
     ) -> LoopResult:
-        """Calibrate, explore, diagnose, add what is found, measure again, as `hil close-loop`; feeds_mm_s: then passes in motion."""
+        """Calibrate, explore, diagnose, add what is found, measure again, as `hil close-loop`; feeds_mm_s: feeds of
+        further passes in motion."""
         from hil.calibration.explore import Exploration  # noqa: PLC0415  (the diagnosis loads slowly)
         from hil.diagnosis.loop.job import loop_job  # noqa: PLC0415
         from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at  # noqa: PLC0415

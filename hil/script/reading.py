@@ -10,7 +10,7 @@ from drivers.errors import InputError
 
 @dataclass(frozen=True)
 class AxisReading:
-    """What is not known is None, never a made-up zero.
+    """One look at the axis. What is not known is None, never a made-up zero.
 
     time_s: since the axis was opened, or since its last job began
     motor_mm: the drive's actual position, load mm; instrument_mm: the load's position by the instrument, None before `home()` takes

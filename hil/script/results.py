@@ -59,7 +59,7 @@ class ErrorFigures:
 
 @dataclass(frozen=True, repr=False)
 class Result(ABC):
-    """The result of a job. campaign: the folder of its rows, None for a job without."""
+    """The result of a job. campaign: the folder of its rows, None for a job without; raw: the result as the procedure returns it."""
 
     axis: DriveAxis
     campaign: Path | None
@@ -76,10 +76,10 @@ class Result(ABC):
 
     @abstractmethod
     def form(self) -> Mapping[str, Any]:
-        """The result as plain values."""
+        """The result as plain values, as the verb writes it by `--json`."""
 
     def save(self, path: str | Path | None = None) -> Path:
-        """Write the result as JSON; its file. path: None, beside its rows. Raises InputError for a result without rows."""
+        """Write the result as JSON and return the path. path: None, beside its rows. Raises InputError for a result without rows."""
         if path is None:
             if self.campaign is None:
                 raise InputError("this result has no folder of rows, expected a path")
@@ -148,7 +148,7 @@ class DoctorResult(Result):
 
     @property
     def good(self) -> bool:
-        """Every check is good."""
+        """Whether every check is good."""
         return all(check.good for check in self.checks)
 
     @property
@@ -166,19 +166,19 @@ class DoctorResult(Result):
 
 @dataclass(frozen=True, repr=False)
 class CalibrationResult(MeasuredResult):
-    """A calibration. raw: as the procedure returns it, with every round."""
+    """A calibration."""
 
     axis: AxisConfig
     raw: Calibration
 
     @cached_property
     def before(self) -> ErrorFigures:
-        """Of the uncorrected axis."""
+        """Errors of the uncorrected axis."""
         return ErrorFigures.of(self.raw.before)
 
     @cached_property
     def after(self) -> ErrorFigures:
-        """With the tables in force, at the calibrated targets."""
+        """Errors at the calibrated targets with the tables in force."""
         return ErrorFigures.of(self.raw.rounds[-1].records)
 
     @property
@@ -188,7 +188,7 @@ class CalibrationResult(MeasuredResult):
 
     @property
     def good(self) -> bool:
-        """Every section is inside the band; true without a band."""
+        """Whether every section is inside the band; true without a band."""
         return self.raw.inside
 
     @property
@@ -215,7 +215,7 @@ class CalibrationResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class VerificationResult(MeasuredResult):
-    """A verification. tables: in force, None for the uncorrected axis; raw: as the procedure returns it."""
+    """A verification. tables: in force, None for the uncorrected axis."""
 
     axis: AxisConfig
     tables: TableSet | None
@@ -228,7 +228,7 @@ class VerificationResult(MeasuredResult):
 
     @cached_property
     def figures(self) -> ErrorFigures:
-        """Of the errors at these targets."""
+        """Figures of the errors at these targets."""
         return ErrorFigures.of(self.raw.records)
 
     @property
@@ -243,7 +243,7 @@ class VerificationResult(MeasuredResult):
 
     @property
     def good(self) -> bool:
-        """A does not fail its limit, and no section is outside the band."""
+        """Whether A does not fail its limit and no section is outside the band."""
         return self.raw.good and self.accuracy.good
 
     @property
@@ -277,7 +277,7 @@ class VerificationResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class BacklashResult(Result):
-    """Lost motion by torque. raw: as the procedure returns it; written: whether the mean was written."""
+    """Lost motion by torque. written: whether the mean was written."""
 
     raw: MeasuredBacklash
     written: bool
@@ -297,7 +297,7 @@ class BacklashResult(Result):
 
     @property
     def good(self) -> bool:
-        """There is a mean."""
+        """Whether a mean was found."""
         return self.lost_motion_um is not None
 
     @property
@@ -337,7 +337,7 @@ class BacklashResult(Result):
 
 @dataclass(frozen=True, repr=False)
 class ReversalResult(MeasuredResult):
-    """Lost motion after a reversal. raw: as the procedure returns it; stored: whether the correction was put into force."""
+    """Lost motion after a reversal. stored: whether the correction was put into force."""
 
     axis: AxisConfig
     raw: MeasuredLostMotion
@@ -350,22 +350,22 @@ class ReversalResult(MeasuredResult):
 
     @property
     def shape(self) -> str:
-        """Name of the form in which it comes back."""
+        """Name of the fitted curve."""
         return self.raw.result.estimate.rise.shape.name
 
     @property
     def before_um(self) -> float:
-        """Largest error of the moves of the proof without it."""
+        """Largest error of the moves of the proof without the correction, µm."""
         return float(abs(self.raw.result.proof.before_um).max())
 
     @property
     def after_um(self) -> float:
-        """The same with it in force."""
+        """The same with the correction in force."""
         return float(abs(self.raw.result.proof.after_um).max())
 
     @property
     def good(self) -> bool:
-        """Proven an improvement, or none is needed."""
+        """Whether the improvement is proven, or none is needed."""
         return self.raw.result.good or self.raw.result.needless
 
     @property
@@ -394,7 +394,7 @@ class ReversalResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class LoopResult(MeasuredResult):
-    """A closed loop. raw: as the procedure returns it; stages: the figures of each, in the order of time; explained: its verdict."""
+    """A closed loop. stages: the figures of each, in the order of time; explained: whether every cause was found."""
 
     axis: AxisConfig
     raw: Loop
@@ -408,17 +408,17 @@ class LoopResult(MeasuredResult):
 
     @cached_property
     def before(self) -> ErrorFigures:
-        """Explored, with the table alone."""
+        """Errors of the exploration with the table alone."""
         return ErrorFigures.of(self.raw.turn.before)
 
     @cached_property
     def after(self) -> ErrorFigures:
-        """Explored again, with what was found."""
+        """Errors of the exploration with what was found."""
         return ErrorFigures.of(self.raw.turn.after)
 
     @property
     def good(self) -> bool:
-        """Everything is explained, and the axis measured no worse than before."""
+        """Whether everything is explained and the axis measured no worse than before."""
         return self.explained
 
     @property
@@ -501,18 +501,18 @@ class ProcedureResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class ParameterComparison(Result):
-    """A drive compared with a set. raw: as the procedure returns it."""
+    """A drive compared with a set."""
 
     raw: Comparison
 
     @property
     def good(self) -> bool:
-        """The drive holds the set."""
+        """Whether the drive holds the set."""
         return self.raw.same
 
     @property
     def differing(self) -> dict[str, tuple[object, object]]:
-        """By address what the drive holds and what the set wants."""
+        """By address: the value in the drive and the value in the set."""
         return {row.address: (row.held, row.wanted) for row in self.raw.rows if row.side.name != "SAME"}
 
     @property
@@ -528,13 +528,13 @@ class ParameterComparison(Result):
 
 @dataclass(frozen=True, repr=False)
 class ParameterWriting(Result):
-    """A set that was written, stored or put back, all or nothing. raw: as the procedure returns it."""
+    """A set that was written, stored or put back, all or nothing."""
 
     raw: JobReport
 
     @property
     def good(self) -> bool:
-        """The drive holds what was asked for."""
+        """Whether the drive holds what was asked for."""
         return self.raw.good
 
     @property

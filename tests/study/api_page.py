@@ -13,8 +13,13 @@ from hil.script import names
 PAGE = Path(__file__).parents[2] / "hil/docs/api.md"
 HEAD = """# The names of `import hil`
 
-Written by `python tests/study/api_page.py`. How they are used: [scripts](scripts.md).
+How to use them: [scripts](scripts.md). An argument stands with its default, or else with its type. Written by
+`python tests/study/api_page.py`.
 """
+ALIKE = ("form", "sentence", "records")
+"""Members that say the same of every result; they are described once, at the base class."""
+SECTIONS = {"measurement": values.Measuring, "lost_motion": values.Reversing, "backlash": values.Winding}
+"""Values of a call, by section of the axis file."""
 
 
 def text() -> str:
@@ -25,47 +30,67 @@ def text() -> str:
     classes = {name: one for name, one in objects.items() if name not in functions and name not in errors}
     parts = [HEAD]
     for name, function in functions.items():
-        parts.append(f"## hil.{name}\n\n```text\n{signature(name, function)}\n```\n\n{described(function)}\n")
+        parts.append(f"## hil.{name}\n\n`{signature(name, function)}`\n\n{described(function)}\n")
     for name, one in classes.items():
-        parts.append(f"## hil.{name}\n\n{described(one)}\n")
+        based = f" A `hil.{one.__bases__[0].__name__}`." if one.__bases__[0].__name__ in classes else ""
+        parts.append(f"## hil.{name}\n\n{described(one)}{based}\n")
         parts += [f"- {line}" for line in members(one)]
         parts.append("")
-    parts.append("## Values of a call\n")
-    for given in (values.Measuring, values.Reversing, values.Winding):
+    parts.append(
+        "## Values of a call\n\nThese keys of the [axis file](axis_file.md) may be given to a call in place of its own:\n"
+    )
+    for section, given in SECTIONS.items():
         keys = ", ".join(f"`{key}`" for key in inspect.get_annotations(given))
-        parts.append(f"- `{given.__name__}`: {described(given)} {keys}")
-    parts.append("\n## Errors\n")
-    parts += [f"- `hil.{name}` ({one.__bases__[0].__name__}): {described(one)}" for name, one in errors.items()]
+        parts.append(f"- of `[{section}]` as `**{given.__name__}`: {keys}")
+    parts.append("\n## Errors\n\nIn brackets the error that each is a kind of; all are a `hil.BridgeError`.\n")
+    parts += [f"- `hil.{name}` ({one.__bases__[0].__name__}): {in_short(one)}" for name, one in errors.items()]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)) + "\n"
 
 
 def members(one: type) -> Iterator[str]:
-    """The public fields, properties and methods that a class defines itself, in their order."""
-    for name, kind in inspect.get_annotations(one).items():
-        if not name.startswith("_"):
-            yield f"`{name}: {kind}`"
+    """Fields in one line, then the public properties and methods that a class defines itself, in their order."""
+    fields = [name for name in inspect.get_annotations(one) if not name.startswith("_")]
+    if fields:
+        yield "fields: " + ", ".join(f"`{name}`" for name in fields)
     for name, member in vars(one).items():
-        if name.startswith("_") or name in inspect.get_annotations(one):
+        is_alike = name in ALIKE and any(hasattr(base, name) for base in one.__bases__)
+        if name.startswith("_") or name in fields or is_alike:
             continue
         function = member.__func__ if isinstance(member, classmethod) else member
         if inspect.isfunction(function):
             yield f"`{signature(name, function)}` {described(function)}"
         elif isinstance(member, property) or hasattr(member, "func"):
             got = member.fget if isinstance(member, property) else member.func
-            yield f"`{name}: {inspect.signature(got).return_annotation}` {described(got)}"
+            yield f"`{name}` {described(got)}"
 
 
 def signature(name: str, function: object) -> str:
-    """Name, arguments and result as they are written."""
+    """The call: each argument with its default, else with its type, and the type of the result."""
     found = inspect.signature(function)  # type: ignore[arg-type]
-    own = [one for one in found.parameters.values() if one.name not in ("self", "cls")]
-    written = f"{name}{found.replace(parameters=own)}".replace("'", "")
-    return re.sub(r"<function (\w+) at \w+>", r"\1", written)
+    written = []
+    for one in found.parameters.values():
+        if one.name in ("self", "cls"):
+            continue
+        if one.kind is one.VAR_KEYWORD:
+            given = re.fullmatch(r"Unpack\[(\w+)\]", str(one.annotation))
+            written.append(f"**{given[1]}" if given else f"**{one.name}: {one.annotation}")
+        elif one.default is one.empty:
+            stars = "*" if one.kind is one.VAR_POSITIONAL else ""
+            written.append(f"{stars}{one.name}: {one.annotation}")
+        else:
+            written.append(f"{one.name}={getattr(one.default, '__name__', repr(one.default))}")
+    result = "" if found.return_annotation in ("None", "Any") else f" -> {found.return_annotation}"
+    return f"{name}({', '.join(written)}){result}".replace("'", '"')
+
+
+def in_short(one: object) -> str:
+    """The first paragraph of the docstring."""
+    return " ".join((inspect.getdoc(one) or "").split("\n\n")[0].split())
 
 
 def described(one: object) -> str:
-    """The docstring as one paragraph."""
-    return " ".join((inspect.getdoc(one) or "").split())
+    """The docstring as one paragraph; "name: what it is" begins a part of its own."""
+    return " ".join(re.sub(r"(?<![.;,:\n])\n(?=[\w, ]+: )", "; ", inspect.getdoc(one) or "").split())
 
 
 if __name__ == "__main__":

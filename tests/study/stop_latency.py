@@ -1,7 +1,8 @@
 """Time from the operator's stop to the stop on the wire, worst of 200 moments: `python tests/study/stop_latency.py`.
 
 Simulated time: every verb that moves, on CANopen with SDO alive and dead, on Modbus TCP. Wall time: real threads, two busy processes,
-a python-can virtual bus, a loopback port, a pseudo-terminal. `--write` puts both tables into hil/docs/stopping.md.
+a python-can virtual bus, a loopback port, a pseudo-terminal. Each row is printed; `--write` puts the worst of the jobs of each
+wire into hil/docs/stopping.md.
 """
 
 from __future__ import annotations
@@ -59,16 +60,41 @@ READY_S = 20.0
 """Longest time until a drive is available again after the stop before, s."""
 
 
+@dataclass(frozen=True)
+class Row:
+    """Stops of one work on one wire. times_s: as the table has them; requests: most between a stop and its frame, None on CAN."""
+
+    wire: str
+    work: str
+    stops: int
+    times_s: tuple[float, ...]
+    requests: int | None
+
+    def line(self) -> str:
+        times = " | ".join(f"{1e3 * one_s:.1f} ms" for one_s in self.times_s)
+        return (
+            f"| {self.wire} | {self.work} | {self.stops} | {times} | {'' if self.requests is None else self.requests} |"
+        )
+
+
+def worst(rows: Sequence[Row]) -> Iterator[Row]:
+    """The rows of each wire as one: how many works, their stops together, of each time and of the requests the largest."""
+    for wire in dict.fromkeys(row.wire for row in rows):
+        own = [row for row in rows if row.wire == wire]
+        times = tuple(map(max, zip(*(row.times_s for row in own), strict=True)))
+        requests = max((row.requests for row in own if row.requests is not None), default=None)
+        yield Row(wire, str(len(own)), sum(row.stops for row in own), times, requests)
+
+
 # -- simulated time --------------------------------------------------------------------------------------------------------
-def simulated_row(face: str, sdo_dead: bool, verb: str, moments: int, pool: ProcessPoolExecutor) -> str:
+def simulated_row(face: str, sdo_dead: bool, verb: str, moments: int, pool: ProcessPoolExecutor) -> Row:
     """The moments are spread evenly over the verb."""
     shares = [(number + 0.37) / moments for number in range(moments)]
     found: list[Stopped] = list(pool.map(partial(stopped_at, face, verb, sdo_dead=sdo_dead), shares, chunksize=5))
     under = [one for one in found if one.under_power]
-    worst_ms = 1e3 * max((one.latency_s for one in under), default=0.0)
-    requests = max((one.requests for one in under), default=0)
     wire = f"CANopen, SDO {'dead' if sdo_dead else 'alive'}" if face == "canopen" else "Modbus TCP"
-    return f"| {wire} | {verb} | {len(under)} | {worst_ms:.1f} ms{'' if face == 'canopen' else f', {requests} requests before it'} |"
+    requests = None if face == "canopen" else max((one.requests for one in under), default=0)
+    return Row(wire, verb, len(under), (max((one.latency_s for one in under), default=0.0),), requests)
 
 
 class CountedWire(PymodbusWire):
@@ -322,7 +348,7 @@ def _of_modbus(wire: CountedWire, pressed_s: float, seen_s: float) -> Latency:
     return Latency(left_s, seen_s, requests)
 
 
-def wall_row(wire: str, name: str, *, dead: bool, moments: int) -> str:
+def wall_row(wire: str, name: str, *, dead: bool, moments: int) -> Row:
     random = Random(f"{wire} {name} {dead}")
     found: list[Latency] = []
     with WIRES[wire]() as rig:
@@ -337,9 +363,8 @@ def wall_row(wire: str, name: str, *, dead: bool, moments: int) -> str:
                 rig.drive.close()
     answers = ("SDO" if wire == "CANopen" else "answers") + (" dead" if dead else " alive")
     left, seen = sorted(each.left_s for each in found), sorted(each.seen_s for each in found)
-    times = " | ".join(f"{1e3 * one_s:.1f} ms" for one_s in (left[len(left) // 2], left[-1], seen[-1]))
-    requests = "" if wire == "CANopen" else max(each.requests for each in found)
-    return f"| {wire}, {answers} | {name} | {len(found)} | {times} | {requests} |"
+    requests = None if wire == "CANopen" else max(each.requests for each in found)
+    return Row(f"{wire}, {answers}", name, len(found), (left[len(left) // 2], left[-1], seen[-1]), requests)
 
 
 def _busy() -> None:
@@ -350,32 +375,33 @@ def _busy() -> None:
 # -- the page ------------------------------------------------------------------------------------------------------------------
 HEAD = f"""# How soon a stop leaves
 
-Measured by `python tests/study/stop_latency.py --write`: from the moment the operator's stop is pressed (`Stop.press`) to the first
-frame that takes the motion or the power away. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed, on Modbus one
-request, the one under way.
+The operator's stop is pressed at many moments of each job. The time is measured from there to the first frame that takes the
+motion or the power away. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed.
+On Modbus the frame waits for the request under way, and for no other.
+
+`python tests/study/stop_latency.py --write` measures again, prints a line for each job, and writes the worst of the jobs here.
 
 ## In simulated time
 
-Each verb was stopped at moments spread evenly over its duration; those at which the drive was under power count. "SDO dead": the drive
-answers no SDO from 50 ms before the stop. Simulated time moves in steps of 10 ms at most, which is the resolution of the table.
+The jobs are the verbs that move an axis. Simulated time moves in steps of 10 ms at most, so the table is no finer. "SDO dead":
+the drive answers no SDO from 50 ms before the stop.
 
-| wire | verb | stops | worst |
-| --- | --- | --- | --- |
+| wire | jobs | stops | worst | requests before the frame |
+| --- | --- | --- | --- | --- |
 """
 WALL_HEAD = """
 ## In real time, both cores loaded
 
-Real threads, two processes that only compute. The stop is pressed in a thread of its own. "Dead": SDO requests (on Modbus: replies)
-are lost from up to 50 ms before the stop. "Requests": the most that were under way, or were begun, between the stop and its frame.
-"At the drive" includes the simulated drive's own threads. On RTU the reply that is under way is waited for, but no time-out of a dead
-unit: the request's own time on the line and 20 ms.
+The jobs are a move, a homing, a stream, and watching at rest, while two other processes compute. "Dead": answers are lost from up
+to 50 ms before the stop. "At the drive" includes delays of the simulated drive's own threads and of the pseudo-terminal. On RTU a
+dead unit costs the request's own time on the line and 20 ms, and not its time-out.
 
-| wire | work | stops | leaves, median | worst | at the drive, worst | requests |
+| wire | jobs | stops | leaves, largest median | worst | at the drive, worst | requests before the frame |
 | --- | --- | --- | --- | --- | --- | --- |
 """
 
 
-def _simulated(args: argparse.Namespace) -> Iterator[str]:
+def _simulated(args: argparse.Namespace) -> Iterator[Row]:
     with ProcessPoolExecutor(2) as pool:
         for face, sdo_dead in SIMULATED:
             for verb in VERBS:
@@ -383,7 +409,7 @@ def _simulated(args: argparse.Namespace) -> Iterator[str]:
                     yield simulated_row(face, sdo_dead, verb, args.moments, pool)
 
 
-def _in_real_time(args: argparse.Namespace) -> Iterator[str]:
+def _in_real_time(args: argparse.Namespace) -> Iterator[Row]:
     load = [multiprocessing.Process(target=_busy, daemon=True) for _ in range(2)]
     for process in load:
         process.start()
@@ -409,12 +435,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     simulated, _, wall = PAGE.read_text(encoding="utf-8").partition(WALL_HEAD)
     parts = {"simulated": simulated, "wall": WALL_HEAD + wall}
-    for part, head, lines in (("simulated", HEAD, _simulated(args)), ("wall", WALL_HEAD, _in_real_time(args))):
+    for part, head, measured in (("simulated", HEAD, _simulated(args)), ("wall", WALL_HEAD, _in_real_time(args))):
         if args.only in (None, part):
-            parts[part] = head
-            for line in lines:
-                parts[part] += line + "\n"
-                print(line, flush=True)
+            rows = []
+            for row in measured:
+                rows.append(row)
+                print(row.line(), flush=True)
+            parts[part] = head + "".join(f"{row.line()}\n" for row in worst(rows))
     if args.write:
         PAGE.write_text(parts["simulated"] + parts["wall"], encoding="utf-8")
     return 0
