@@ -64,8 +64,9 @@ A key that is not listed here is refused with its line. Nothing moves outside th
 folder of the file. `hil drives new X.toml` makes a first file, `hil doctor X.toml` checks one;
 [hil/examples/axis.toml](../examples/axis.toml) is a complete example.
 
-A line is `key = default` (other values): what it is. The key's name ends in its unit. Without a default or "required" the key has no
-value unless you give one. No other values named: any number, or true and false.
+A line is `key = default` (allowed values): what it is. The key's name ends in its unit. A key that shows neither a default nor
+"required" has no value unless you give one. A key that shows no allowed values takes a number, or true or false; sizes, times and
+speeds may not be negative.
 
 Made by `python tests/study/axis_reference.py --write`.
 """
@@ -113,9 +114,10 @@ def shown(value: Any) -> str:
 
 
 def brief(expected: str) -> str:
-    """What a value may be, without what the key's name, the default or the head of the page says: number and unit, true or false."""
+    """What a value may be, without what the key's name, the default or the head of the page says: number, sign and unit, true or false."""
     if expected == "true or false":
         return ""
+    expected = re.sub(r",? >=? 0(?![.\d])", "", expected)
     words = re.sub(r", each a number in .*|^a number(?: in .*)?$| for none$", "", expected)
     words = re.sub(r"^(?:a number|a share|[^\s\d,-]\S*?)(?:, (?=-?[\d.])| (?=>))(.*?)(?: in .*)?$", r"\1", words)
     return re.sub(
