@@ -114,7 +114,7 @@ def shown(value: Any) -> str:
 
 
 def brief(expected: str) -> str:
-    """What a value may be, without what the key's name, the default or the head of the page says: number, sign and unit, true or false."""
+    """What a value may be, without what the head of the page, the key or the default says: number and sign, unit, true or false."""
     if expected == "true or false":
         return ""
     expected = re.sub(r",? >=? 0(?![.\d])", "", expected)
