@@ -395,7 +395,8 @@ def study_profiles(names: Sequence[str], verbs: Sequence[str] = tuple(VERBS)) ->
 
 
 def profiles_markdown(rows: Sequence[ProfileRow]) -> str:
-    """The names of all profiles, and a table of what is not "yes": result, reason, steps or verbs, and the profiles."""
+    """The names of all profiles, and a table of what is not "yes": result, reason, steps or verbs, and the profiles; those of most
+    profiles with the others left out."""
     found: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
         reasons = {column: text for column, _, text in (reason.partition(": ") for reason in reversed(row.reasons))}
@@ -409,7 +410,9 @@ def profiles_markdown(rows: Sequence[ProfileRow]) -> str:
     lines = ["Profiles: " + ", ".join(f"`{row.name}`" for row in rows) + ".", ""]
     lines += ["| Not done | Result | Reason | Profiles |", "|---|---|---|---|"]
     for (result, reason, names), columns in merged.items():
-        who = ", ".join(f"`{name}`" for name in names)
+        others = [row.name for row in rows if row.name not in names]
+        are_most = 2 * len(names) > len(rows)
+        who = ("all but " if are_most else "") + ", ".join(f"`{name}`" for name in (others if are_most else names))
         lines.append(f"| {', '.join(columns)} | {result} | {reason} | {who} |")
     return "\n".join(lines)
 
