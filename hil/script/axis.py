@@ -258,8 +258,8 @@ class Axis:
     def home(self, *, corrected: bool = False, new_zero: bool = False, instrument_zeroed: bool = False) -> None:
         """Enable, home where the axis file says so, and take the instrument's datum at the reference position.
 
-        corrected: with the stored tables in force afterwards; new_zero, instrument_zeroed: as the options of the verbs. Raises what
-        homing and moving raise.
+        corrected: whether the stored tables are in force afterwards; new_zero, instrument_zeroed: as the options of the verbs.
+        Raises what homing and moving raise.
         """
         session = self._require().session
         if self._moves is not None:
@@ -281,7 +281,7 @@ class Axis:
     def move_to(self, position_mm: float, velocity_mm_s: float | None = None) -> None:
         """Move to a position, load mm, and return once the axis has arrived.
 
-        velocity_mm_s: None, that of [measurement]. Raises StateError before `home()` and once the axis was stopped or disabled,
+        velocity_mm_s: None takes that of [measurement]. Raises StateError before `home()` and once the axis was stopped or disabled,
         LimitError before any motion for a target outside the travel, and what stops the axis.
         """
         connection = self._require()
@@ -390,7 +390,8 @@ class Axis:
         instrument_zeroed: bool = False,
         **how: Unpack[Measuring],
     ) -> VerificationResult:
-        """Measure at other targets with the stored correction in force, as `hil verify`; corrected: False, without any."""
+        """Measure at other targets with the stored correction in force, as `hil verify`; corrected: False measures without
+        correction."""
         from hil.calibration.job import UNCORRECTED, VERIFY, Across, verification_job  # noqa: PLC0415  (loads slowly)
 
         axis, zero = self._measured_file(measurement=how), _stated(False, instrument_zeroed)
@@ -408,7 +409,8 @@ class Axis:
         return self._passwords.store(other, writing=False) if isinstance(other, AxisConfig) else None
 
     def backlash(self, *, write: bool = False, **how: Unpack[Winding]) -> BacklashResult:
-        """Lost motion by the servo's torque, as `hil backlash`. write: into the drive's parameter, or the tables where it has none."""
+        """Lost motion by the servo's torque, as `hil backlash`. write: whether the mean is
+        written into the drive's parameter, or into the tables where it has none."""
         from hil.backlash.job import backlash_config, measuring_job, write_job  # noqa: PLC0415  (loads slowly)
 
         axis = load_drive_axis(self.file.path, {"backlash": how} if how else {})
@@ -479,7 +481,7 @@ class Axis:
         new_zero: bool = False,
         instrument_zeroed: bool = False,
     ) -> ProcedureResult:
-        """Carry out a procedure of yours, as `hil run`; corrected: with the stored correction in force."""
+        """Carry out a procedure of yours, as `hil run`; corrected: whether the stored correction is in force."""
         from hil.script.procedure import values_of  # noqa: PLC0415  (drivers load slowly)
         from hil.script.procedure_job import procedure_job  # noqa: PLC0415  (as above)
 

@@ -16,7 +16,7 @@ HEAD = """# The names of `import hil`
 How to use them: [scripts](scripts.md). An argument stands with its default, or else with its type. Written by
 `python tests/study/api_page.py`.
 """
-ALIKE = ("form", "sentence", "records")
+ALIKE = ("form", "sentence", "records", "raw", "axis")
 """Members that say the same of every result; they are described once, at the base class."""
 SECTIONS = {"measurement": values.Measuring, "lost_motion": values.Reversing, "backlash": values.Winding}
 """Values of a call, by section of the axis file."""
@@ -30,11 +30,16 @@ def text() -> str:
     classes = {name: one for name, one in objects.items() if name not in functions and name not in errors}
     parts = [HEAD]
     for name, function in functions.items():
-        parts.append(f"## hil.{name}\n\n`{signature(name, function)}`\n\n{described(function)}\n")
+        what, named = described(function)
+        parts.append(f"## hil.{name}\n\n`{signature(name, function)}`\n\n{what}\n")
+        parts += [*(f"- {part}" for part in named), ""]
     for name, one in classes.items():
         based = f" A `hil.{one.__bases__[0].__name__}`." if one.__bases__[0].__name__ in classes else ""
-        parts.append(f"## hil.{name}\n\n{described(one)}{based}\n")
-        parts += [f"- {line}" for line in members(one)]
+        if not isinstance(one, type):
+            parts.append(f"## hil.{name}\n\n`{one}`\n".replace("collections.abc.", ""))
+            continue
+        parts.append(f"## hil.{name}\n\n{described(one)[0]}{based}\n")
+        parts += [line if line.startswith(" ") else f"- {line}" for line in members(one)]
         parts.append("")
     parts.append(
         "## Values of a call\n\nThese keys of the [axis file](axis_file.md) may be given to a call in place of its own:\n"
@@ -48,20 +53,24 @@ def text() -> str:
 
 
 def members(one: type) -> Iterator[str]:
-    """Fields in one line, then the public properties and methods that a class defines itself, in their order."""
-    fields = [name for name in inspect.get_annotations(one) if not name.startswith("_")]
-    if fields:
-        yield "fields: " + ", ".join(f"`{name}`" for name in fields)
+    """Fields, then the public properties and methods that a class defines itself, in their order."""
+    alike = {name for name in ALIKE if any(issubclass(base, names.Result) for base in one.__bases__)}
+    fields = [name for name in inspect.get_annotations(one) if name not in alike and not name.startswith("_")]
+    parts = described(one)[1]
+    yield from parts
+    if left := [name for name in fields if not any(f"`{name}`" in part.split(": ")[0] for part in parts)]:
+        yield ", ".join(f"`{name}`" for name in left)
     for name, member in vars(one).items():
-        is_alike = name in ALIKE and any(hasattr(base, name) for base in one.__bases__)
-        if name.startswith("_") or name in fields or is_alike:
+        if name.startswith("_") or name in fields or name in alike:
             continue
         function = member.__func__ if isinstance(member, classmethod) else member
         if inspect.isfunction(function):
-            yield f"`{signature(name, function)}` {described(function)}"
+            what, named = described(function)
+            yield f"`{signature(name, function)}` {what}"
+            yield from (f"  - {part}" for part in named)
         elif isinstance(member, property) or hasattr(member, "func"):
             got = member.fget if isinstance(member, property) else member.func
-            yield f"`{name}` {described(got)}"
+            yield f"`{name}` {described(got)[0]}"
 
 
 def signature(name: str, function: object) -> str:
@@ -88,9 +97,18 @@ def in_short(one: object) -> str:
     return " ".join((inspect.getdoc(one) or "").split("\n\n")[0].split())
 
 
-def described(one: object) -> str:
-    """The docstring as one paragraph; "name: what it is" begins a part of its own."""
-    return " ".join(re.sub(r"(?<![.;,:\n])\n(?=[\w, ]+: )", "; ", inspect.getdoc(one) or "").split())
+def described(one: object) -> tuple[str, list[str]]:
+    """What a docstring says, as one paragraph; and of each argument or field that it names: "`name`: …"."""
+    names = inspect.get_annotations(one) if isinstance(one, type) else inspect.signature(one).parameters  # type: ignore[arg-type]
+    text = " ".join((inspect.getdoc(one) or "").split())
+    if not names:
+        return text, []
+    each = "|".join(names)
+    main, *parts = re.split(rf"(?<!,) (?=(?:{each})(?:, (?:{each}))*: )", text)
+    if parts and (ends := re.search(r" ((?:Raises|Returns) .*)$", parts[-1])):
+        parts[-1], main = parts[-1][: ends.start()], f"{main} {ends[1]}"
+    named = (re.sub(r"^([\w, ]+): ", lambda found: f"`{found[1].replace(', ', '`, `')}`: ", part) for part in parts)
+    return re.sub(";$", ".", main), [part.rstrip(".;") for part in named]
 
 
 if __name__ == "__main__":
