@@ -54,8 +54,8 @@ def open_axis(
     """The axis of an axis file, for a `with` block: it is connected on entering; on leaving it is stopped after an error, disabled
     unless it was enabled, and disconnected.
 
-    password, key_password: of the sealed tables and of the builder's key; None: as for the verbs, from HIL_PASSWORD and
-    HIL_KEY_PASSWORD, the axis file, or the keyboard. on_event: called with progress and warnings. network: a connected
+    password, key_password: of the sealed tables and of the builder's key; None takes them from HIL_PASSWORD and
+    HIL_KEY_PASSWORD, the axis file, or the keyboard, as the verbs do. on_event: called with progress and warnings. network: a connected
     canopen.Network of yours in place of the bus that the axis file names. Raises InputError.
     """
     return Axis(load_drive_axis(path), Passwords(password, key_password), on_event, network=network)

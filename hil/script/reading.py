@@ -12,11 +12,11 @@ from drivers.errors import InputError
 class AxisReading:
     """One look at the axis. What is not known is None, never a made-up zero.
 
-    time_s: since the axis was opened, or since its last job began
+    time_s: time since the axis was opened, or since its last job began
     motor_mm: the drive's actual position, load mm; instrument_mm: the load's position by the instrument, None before `home()` takes
     the datum; instrument_raw_mm: in the instrument's own frame
     std_um: standard deviation of one reading, where several were averaged
-    target_mm, command_mm: of the last `move_to`, without and with the correction; direction: of arrival there, +1 or -1, 0 before
+    target_mm, command_mm: target of the last `move_to`, without and with the correction; direction: of arrival there, +1 or -1, else 0
     sensors: of air, workpiece and conditions, by their columns in the record format
     """
 

@@ -30,7 +30,7 @@ def statements() -> Iterator[Statement]:
     """The lines below the headings of the states."""
     for title, text in re.findall(r"^### (.+)\n((?:(?!#).*\n)*)", PAGE, re.M):
         for line in re.findall(r"^- ([A-D]\d+\. .*)$", text, re.M):
-            match = re.fullmatch(r"([A-D]\d+)\. (.+? \(.+?\))(?:: (.+?))?\. (No test\.|`[\w./]+\.py::.+)", line)
+            match = re.fullmatch(r"([A-D]\d+)\. (.+? \(.+?\))(?:\. Here: (.+?))?\. (No test\.|`[\w./]+\.py::.+)", line)
             assert match, line
             yield Statement(match[1], STATES[title], match[2], match[3] or "", match[4])
 
