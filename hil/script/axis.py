@@ -55,7 +55,7 @@ def open_axis(
     unless it was enabled, and disconnected.
 
     password, key_password: of the sealed tables and of the builder's key; None takes them from HIL_PASSWORD and
-    HIL_KEY_PASSWORD, the axis file, or the keyboard, as the verbs do. on_event: called with progress and warnings. network: a connected
+    HIL_KEY_PASSWORD, the axis file, or the keyboard, as the verbs do. on_event: called with progress and warnings. network: a
     canopen.Network of yours in place of the bus that the axis file names. Raises InputError.
     """
     return Axis(load_drive_axis(path), Passwords(password, key_password), on_event, network=network)
