@@ -46,10 +46,9 @@ def test_measure_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     assert "± " in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
-def test_a_creep_finds_what_steps_find(tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str) -> None:
+def test_a_creep_finds_what_steps_find(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Without rests, with the motor's own friction in every reading; 53 µm by the laser."""
-    axis, out = lay_out(tmp_path, face, ""), tmp_path / "out.json"
+    axis, out = lay_out(tmp_path, "modbus-tcp", ""), tmp_path / "out.json"
     assert main(["backlash", str(axis), "--feed", "creep", "--dry-run"]) == 0
     assert "turn back, and creep at 20 µm/s, to" in capsys.readouterr().out
     assert main(["backlash", str(axis), "--feed", "creep", "--json", str(out)]) == 0
@@ -76,11 +75,10 @@ def test_the_report_shows_both_directions_with_both_estimates(tmp_path: Path) ->
     assert len(columns["torque_1_percent"]) == len(columns["torque_2_percent"]) == len(columns["travel_um"])
 
 
-@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_one_direction_scaled_by_one_value_of_a_laser_is_written(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], face: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    axis, out = lay_out(tmp_path, face), tmp_path / "out.json"
+    axis, out = lay_out(tmp_path, "canopen"), tmp_path / "out.json"
     first = ["backlash", str(axis), "--reversals", "to-minus", "--laser", "53.0", "--json", str(out)]
     assert main(first) == 0
     plain = json.loads(out.read_text())
@@ -140,13 +138,12 @@ def test_detection_limit_exceeded(tmp_path: Path, capsys: pytest.CaptureFixture[
     )
 
 
-@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
 def test_restore_puts_back_what_was_there_before_the_first_write(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], face: str
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two writes one after the other, each measurement with the amount of the one before in the drive; one connection, as a
     bench forgets its parameters with its power. The command as it is, from there on."""
-    axis = lay_out(tmp_path, face)
+    axis = lay_out(tmp_path, "modbus-tcp")
     config = load_drive_axis(axis)
     how = backlash_config(config)
     with connected_drive(config) as drive:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.bench_axis import PASSWORDS
-from support.table_axis import FACES, lay_out_table_axis, store
+from support.table_axis import lay_out_table_axis, store
 
 import sim_backends.virtual_drive
 from drivers.drive import DriveLimits
@@ -35,9 +35,7 @@ def hand_to_the_drive(session: AxisSession, tables: TableSet) -> None:
     table.switch(True)
 
 
-@pytest.mark.parametrize(
-    "face", [pytest.param(face, marks=() if face == "in process" else pytest.mark.outside) for face in FACES]
-)
+@pytest.mark.parametrize("face", ["in process", pytest.param("canopen, array", marks=pytest.mark.outside)])
 def test_a_session_asks_the_drive_first(face: str, tmp_path: Path) -> None:
     axis, tables = lay_out_table_axis(tmp_path, face)
     with connected(axis) as machine:

@@ -24,11 +24,11 @@ from hil.machine.axis_lock import held_axis
 from hil.machine.events import Event
 from hil.parameters import job as parameters
 from hil.parameters.compare import Comparison
-from hil.parameters.job import keep_set, set_files
+from hil.parameters.job import set_files
 from hil.parameters.listing import ListedParameter, Listing, changed
 from hil.parameters.outcome import BackedUp, kept_outcome
 from hil.parameters.report import Ending, JobReport
-from hil.parameters.set_file import ParameterSet, SetEntry, read_set, write_set
+from hil.parameters.set_file import ParameterSet, SetEntry, read_set
 from hil.parameters.snapshot import back_up
 from hil.parameters.wiring import connected_parameters, unconnected_parameters
 from sim_backends.canopen_drive import EDS
@@ -223,28 +223,6 @@ def test_what_was_cut_off_is_finished_or_taken_back(axis: DriveAxis, face: Forty
     assert (face.ram, parameters.unfinished(axis)) == (SIDES[side], None)
     with pytest.raises(StateError, match="nothing to do"):
         parameters.recover_job(axis, forward=forward)
-
-
-def test_a_set_that_is_brought(axis: DriveAxis, tmp_path: Path) -> None:
-    whole = tmp_path / "elsewhere" / "new.toml"
-    whole.parent.mkdir()
-    write_set(whole, NEW)
-    data = whole.read_bytes()
-    kept = keep_set(axis, "../../new.toml", data)  # a name is a name, not a way
-    assert kept.parent == axis.store.directory / "parameters" / "sets"
-    assert keep_set(axis, "new.toml", data) == kept
-    assert set_files(axis) == (kept,)
-    assert parameters.load_set(kept, axis).entries == NEW.entries
-    for name, content, why in (
-        ("new.toml", data + b"# other\n", "holds something else"),
-        ("torn.toml", data[: len(data) // 2], "torn.toml"),
-        ("new.exe", data, "expected the name of a set"),
-        (".hidden.toml", data, "expected the name of a set"),
-        ("large.toml", b"#" * 2_000_001, "expected at most"),
-    ):
-        with pytest.raises(InputError, match=why):
-            keep_set(axis, name, content)
-    assert set_files(axis) == (kept,)
 
 
 def test_what_the_screen_says_of_each_outcome(axis: DriveAxis) -> None:

@@ -10,17 +10,15 @@ import pytest
 from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
 
 from drivers.canopen.eds import EdsFile, load_eds
-from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
 from hil.parameters.compare import compare
 from hil.parameters.download import Target, download
 from hil.parameters.journal import Journal
 from hil.parameters.recover import Unfinished, recover, set_before
-from hil.parameters.report import Ending, JobReport, Verdict
+from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
-from sim_backends.canopen_dictionary import RefusedError
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash
 
@@ -28,7 +26,6 @@ COUNT = 8
 KEYS = maker_keys(COUNT)
 NEW = maker_set(COUNT)
 VALUES = [entry.raw for entry in NEW.entries]
-GAIN = SetEntry("2210h:01", 4321)
 K = CanFaultKind
 Make = Callable[..., ParameterRig]
 
@@ -60,19 +57,6 @@ def run(rig: ParameterRig, *sets: ParameterSet, **options: object) -> list[JobRe
     each = sets * len(rig.drives) if len(sets) == 1 else sets
     targets = [Target(*parts) for parts in zip(rig.drives, each, rig.journals, strict=True)]
     return download(targets, **options)  # type: ignore[arg-type]
-
-
-def test_everything_is_written_read_back_and_kept(make: Make) -> None:
-    rig = make()
-    before = rig.values(KEYS)
-    report = run(rig, NEW, store=True)[0]
-    assert (report.ending, report.stored, report.good) == (Ending.WRITTEN, True, True)
-    assert [row.verdict for row in report.rows] == [Verdict.WRITTEN] * COUNT
-    assert ([row.old for row in report.rows], [row.new for row in report.rows]) == (before, VALUES)
-    assert rig.values(KEYS) == VALUES
-    again = run(rig, NEW)[0]
-    assert (again.ending, {row.verdict for row in again.rows}) == (Ending.UNCHANGED, {Verdict.SAME})
-    assert len(list(rig.journals[0].folder.iterdir())) == 1  # nothing was to be written: nothing was begun
 
 
 @pytest.mark.parametrize(
@@ -146,79 +130,6 @@ def test_a_set_for_this_model_goes_into_another_drive_of_it_but_not_past_its_fir
     assert download([target])[0].ending is Ending.WRITTEN
 
 
-def test_limits_are_written_so_that_they_never_cross(make: Make) -> None:
-    rig = make()
-    dictionary = rig.bench.slave.dictionary
-
-    def bounded(_value: int, *, low: bool) -> None:
-        held = dictionary.number(0x607D, 2 if low else 1)
-        if (_value > held) if low else (_value < held):
-            raise RefusedError(0x06040043)
-
-    dictionary.set_number(0x607D, 1, 0)
-    dictionary.set_number(0x607D, 2, 100)
-    dictionary.on_write(0x607D, 1, lambda value: bounded(value, low=True))
-    dictionary.on_write(0x607D, 2, lambda value: bounded(value, low=False))
-    for low, high in ((200, 300), (-300, -200), (-50, 50)):
-        entries = (SetEntry("607Dh:01", low), SetEntry("607Dh:02", high))
-        assert run(rig, ParameterSet("limits", None, entries))[0].ending is Ending.WRITTEN
-        assert rig.values([(0x607D, 1), (0x607D, 2)]) == [low, high]
-        assert rig.drives[0]._node.sdo.counters.aborts == 0
-
-
-def test_what_depends_on_another_is_tried_again_after_it(make: Make) -> None:
-    rig = make()
-    dictionary = rig.bench.slave.dictionary
-
-    def after_the_last(_value: int) -> None:
-        if dictionary.number(*KEYS[-1]) != VALUES[-1]:
-            raise RefusedError(0x06040043)
-
-    dictionary.on_write(*KEYS[0], after_the_last)
-    assert run(rig, NEW)[0].ending is Ending.WRITTEN
-    assert rig.values(KEYS) == VALUES
-
-
-@pytest.mark.parametrize("at", [0, 3, COUNT - 1])
-def test_one_refusal_for_good_and_everything_is_as_before(make: Make, at: int) -> None:
-    rig = make()
-    before = rig.values(KEYS)
-
-    def never(value: int) -> None:
-        if value == VALUES[at]:
-            raise RefusedError(0x06090030)
-
-    rig.bench.slave.dictionary.on_write(*KEYS[at], never)
-    report = run(rig, NEW, store=True)[0]
-    assert report.ending is Ending.PUT_BACK
-    assert "invalid value" in report.error
-    assert rig.values(KEYS) == before
-    assert not report.stored
-    assert rig.bench.slave.store.flash.writes == 0
-    assert rig.journals[0].unfinished() is None
-
-
-def test_a_drive_that_keeps_another_value_is_found_out_and_put_back(make: Make) -> None:
-    rig = make()
-    before = rig.values(KEYS)
-    dictionary = rig.bench.slave.dictionary
-    dictionary.on_read(*KEYS[2], lambda: before[2])
-    report = run(rig, NEW)[0]
-    assert report.ending is Ending.PUT_BACK
-    assert "3000h:03 Parameter 3 was written" in report.error
-    assert rig.values(KEYS) == before
-
-
-def test_several_drives_all_or_none(make: Make) -> None:
-    rig = make(nodes=(3, 4, 5))
-    before = rig.values(KEYS)
-    rig.bench.slaves[4].dictionary.on_write(*KEYS[1], _refuse)
-    reports = run(rig, NEW, store=True)
-    assert [report.ending for report in reports] == [Ending.PUT_BACK] * 3
-    assert "because of X4" in reports[0].notes
-    assert [rig.values(KEYS, node) for node in range(3)] == [before] * 3
-
-
 def test_a_cable_pulled_at_one_of_three_drives(make: Make) -> None:
     """The others do not wait for it longer than for an answer, are put back, and say because of whom."""
     fault = CanFault(K.NODE_DEAD, at_s=0.0285, duration_s=20.0)
@@ -232,24 +143,6 @@ def test_a_cable_pulled_at_one_of_three_drives(make: Make) -> None:
     rig.bench.clock.sleep_s(30.0)
     assert recover([Unfinished(*both) for both in zip(rig.drives, rig.journals, strict=True)], forward=False)[0].good
     assert rig.values(KEYS, 1) == before
-
-
-def _refuse(_value: int) -> None:
-    raise RefusedError(0x08000022)
-
-
-def test_an_audit_starts_the_drive_anew_and_finds_what_it_did_not_keep(make: Make) -> None:
-    rig = make(flash=Flash())
-    report = run(rig, NEW, store=True, ask=pytest.fail)[0]
-    assert (report.audited, report.lost) == (True, ())
-    rig.bench.slave.store.flash.image.pop(KEYS[4])
-    rig.bench.slave.store.flash.checksum = rig.bench.slave.store.flash.sealed()
-    other = maker_set(COUNT, seed=2)
-    dictionary = rig.bench.slave.dictionary
-    store = rig.bench.slave.store
-    store.start, honest = (lambda: honest() or dictionary.set_number(*KEYS[4], 1) or 0), store.start  # type: ignore[method-assign]
-    report = run(rig, other, store=True, ask=pytest.fail)[0]
-    assert (report.ending, report.audited, report.lost, report.good) == (Ending.WRITTEN, False, ("3000h:05",), False)
 
 
 class _KeepsHalf(Flash):
@@ -343,31 +236,3 @@ def test_a_backup_brings_everything_back(make: Make) -> None:
     ]
     assert run(rig, backup)[0].ending is Ending.WRITTEN
     assert compare([(rig.drives[0], backup)])[0].same
-
-
-def test_a_download_that_was_cut_off_has_to_be_finished_first(make: Make) -> None:
-    rig = make(faults=(CanFault(K.NODE_DEAD, at_s=0.0165),), bitrate=1_000_000)
-    assert run(rig, NEW)[0].ending is Ending.UNFINISHED
-    with pytest.raises(InputError, match="is not finished, expected `hil params resume`"):
-        run(rig, NEW)
-
-
-def test_a_slow_parameter_is_named(make: Make) -> None:
-    rig = make(faults=(CanFault(K.SDO_LATE, size=0.03, count=1, skip=20),), bitrate=1_000_000)
-    report = run(rig, NEW)[0]
-    assert report.ending is Ending.WRITTEN
-    assert len(report.as_json()["slow"]) == 1
-
-
-def test_ctrl_c_puts_everything_back(make: Make) -> None:
-    rig = make()
-    before = rig.values(KEYS)
-
-    def interrupt(stage: str, _drive: str, done: int, _total: int) -> None:
-        if stage == "write" and done == 5:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(rig, NEW, progress=interrupt)
-    assert rig.values(KEYS) == before
-    assert rig.journals[0].unfinished() is None

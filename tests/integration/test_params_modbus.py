@@ -88,13 +88,6 @@ def test_every_request(kind: str, forty: Path, tmp_path: Path) -> None:
     assert sum(said.values()) == 2 * len(requests)
 
 
-@pytest.mark.parametrize("kind", ["abort", "node reboot", "cable pulled", "process killed"])
-def test_some_requests(kind: str, forty: Path, tmp_path: Path) -> None:
-    for at in (12, 25, 34):
-        ending, whole, _ = one_run(forty, tmp_path / str(at), Fault(kind, at, OUTAGE_S / 2))
-        assert whole, (kind, at, ending)
-
-
 def test_time_on_the_line_is_as_predicted(forty: Path, tmp_path: Path) -> None:
     line = FaultyLine(FortyFace(), SimClock(), Fault())
     drive = connect(forty, line)

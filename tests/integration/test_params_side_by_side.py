@@ -235,35 +235,6 @@ def test_lines_on_the_wall_clock_wait_for_each_other_not_in_turn() -> None:
     assert run_together([_Drive(), _Drive(), _Drive()], lambda drive: drive, meets) == [None] * 3  # type: ignore[arg-type,return-value]
 
 
-@pytest.mark.parametrize("error", [KeyboardInterrupt, ZeroDivisionError])
-@pytest.mark.parametrize("shared", [True, False])
-def test_what_ends_one_line_ends_the_others_at_their_next_step_and_is_raised(
-    error: type[BaseException], shared: bool
-) -> None:
-    clock = SimClock()
-    drives = [_Drive(), _Drive()]
-    ended = []
-
-    def steps(drive: _Drive) -> Steps[None]:
-        if drive is drives[0]:
-            yield Pause(0.01)
-            raise error("first")
-        try:
-            yield Pause(60.0)
-            yield Pause(60.0)
-        finally:
-            ended.append(drive)
-
-    if shared:
-        for drive in drives:
-            drive.clock = clock
-    began = WallClock().now_ns()
-    with pytest.raises(error, match="first"):
-        run_together(drives, lambda drive: drive, steps)  # type: ignore[arg-type,return-value]
-    assert WallClock().now_ns() - began < 10e9
-    assert ended == ([] if shared else [drives[1]]), "in turns, the second had not begun"
-
-
 def test_two_ledgers_of_one_file_count_each_others_writes(tmp_path: Path) -> None:
     path = tmp_path / "eeprom-writes.json"
     ledgers = {name: WearLedger(path) for name in ("X", "Z")}
