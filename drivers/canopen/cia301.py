@@ -25,6 +25,10 @@ PRODUCT_CODE = Entry(0x1018, 2, DataType.U32, "product code")
 REVISION = Entry(0x1018, 3, DataType.U32, "revision number")
 SERIAL_NUMBER = Entry(0x1018, 4, DataType.U32, "serial number")
 
+SAVE = b"save"
+ON_COMMAND = 0x01
+"""Of 1010h:1 and 1011h:1 as read: it is done on command, by a write of `SAVE` or b"load"."""
+
 
 def module_inputs(block: int) -> Entry:
     """Inputs 8 · block to 8 · block + 7 of an I/O module (CiA 401, 6000h)."""

@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass
 
 from drivers.canopen import cia301
-from drivers.canopen.parameters import ON_COMMAND
 from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import Entry
@@ -59,7 +58,7 @@ def _text(sdo: SdoClient, entry: Entry) -> str:
 
 def stores_on_command(sdo: SdoClient) -> bool:
     """Whether 1010h:1 says that it stores on command; False for a drive that does not let it be read."""
-    return bool(sdo.read_if_shown(cia301.STORE_ALL, 0) & ON_COMMAND)
+    return bool(sdo.read_if_shown(cia301.STORE_ALL, 0) & cia301.ON_COMMAND)
 
 
 UNIT_OBJECTS = (

@@ -1,6 +1,7 @@
 """A CiA-402 drive's parameters by name: standard objects under names of their own, those of an EDS as "2100h:01".
 
-Maps names to objects and units. `parameters` checks, refuses, and proves writes by reading back.
+Checked before they are written, read back after. Objects that move the axis are no parameters: targets, modes and the controlword are
+refused, because some drives keep them through a store and a restore (`not_parameters`). Whole sets are in `raw_parameters`.
 """
 
 from __future__ import annotations
@@ -8,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from drivers.canopen import cia301
-from drivers.canopen.eds import EdsEntry, EdsFile
+from drivers.canopen.eds import EdsEntry, EdsFile, Key
 from drivers.canopen.node import Node
-from drivers.canopen.parameters import CanOpenParameters
+from drivers.canopen.not_parameters import why_not_written
+from drivers.canopen.sdo import most_bytes
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.cia402.wire import OBJECT_MISSING
-from drivers.errors import AbortError, InputError, ProtocolError
+from drivers.errors import AbortError, CapabilityError, InputError, ProtocolError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 from drivers.scaling import MotionScaling
 
@@ -93,11 +95,12 @@ class NamedParameters(DriveParameters):
     motion: its own units of velocity and acceleration."""
 
     def __init__(self, node: Node, motion: MotionScaling) -> None:
-        self._name = node.name
+        self._node = node
         self._motion = motion
         file, self._entries, self._units = known_objects(node.eds)
-        self._access = CanOpenParameters(node, file)
+        self._path = file.path
         self._present: tuple[str, ...] | None = tuple(self._entries) if node.eds is not None else None
+        self._found: dict[Key, ParameterValue] = {}  # as first read: never out of range when it is put back
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,7 +110,7 @@ class NamedParameters(DriveParameters):
 
     def _answers(self, name: str) -> bool:
         try:
-            self._access.read(self._entries[name])
+            self.read(name)
         except AbortError as error:
             if error.code in OBJECT_MISSING:
                 return False
@@ -123,32 +126,50 @@ class NamedParameters(DriveParameters):
             unit_text(self._units.get(name, ""), self._motion),
             low,
             high,
-            self._access.refusal(found) is None,
+            why_not_written(found, self._node.table) is None,
             description=str(found.entry),
         )
 
     def read(self, name: str) -> ParameterValue:
-        return self._access.read(self._find(name)).value
+        entry = self._find(name).entry
+        value = entry.unpack(self._shown(entry))
+        self._found.setdefault(entry.key, value)
+        return value
 
     def write(self, name: str, value: ParameterValue) -> bool:
-        """As `DriveParameters.write`; raises InputError for a value of another kind too."""
+        """As `DriveParameters.write`; raises InputError for a value of another kind too. A value that the drive was found with may lie
+        outside the limits."""
         found = self._find(name)
-        kind = kind_of(found.entry.type)
-        present: ParameterValue | None = None
-        if self._access.refusal(found) is None:
-            if not isinstance(value, FITTING[kind]):
-                raise InputError(f"{found.entry}: {value!r} is no {kind.value}")
-            present = self._access.read(found).value
-        self._access.check(found, value)
+        entry, kind = found.entry, kind_of(found.entry.type)
+        refusal = why_not_written(found, self._node.table)
+        if refusal is not None:
+            raise CapabilityError(f"drive {self._node.name}: {refusal}")
+        if not isinstance(value, FITTING[kind]):
+            raise InputError(f"{entry}: {value!r} is no {kind.value}")
+        present = self.read(name)
+        data = entry.pack(value)
+        if isinstance(value, int | float) and value != self._found[entry.key]:
+            if found.low is not None and value < found.low:
+                raise InputError(f"{entry}: {value!r} is below its limit {found.low:g}", path=self._path)
+            if found.high is not None and value > found.high:
+                raise InputError(f"{entry}: {value!r} is above its limit {found.high:g}", path=self._path)
         if present == value:
             return False
-        self._access.write(found, value)
+        self._node.sdo.write_bytes(entry.index, entry.subindex, data, same=entry.same)
+        kept = self._shown(entry)
+        if not entry.same(kept, data):
+            raise ProtocolError(
+                f"drive {self._node.name}: {entry} was written {value!r}, it reads back {entry.unpack(kept)!r}"
+            )
         return True
+
+    def _shown(self, entry: Entry) -> bytes:
+        return self._node.sdo.read_bytes(entry.index, entry.subindex, most=most_bytes(entry))
 
     def _find(self, name: str) -> EdsEntry:
         found = self._entries.get(name)
         if found is None:
-            raise InputError(f"drive {self._name} has no parameter {name!r}")
+            raise InputError(f"drive {self._node.name} has no parameter {name!r}")
         return found
 
 

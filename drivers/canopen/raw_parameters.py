@@ -1,7 +1,7 @@
 """A CANopen node's parameters as raw bytes, for whole sets: over SDO only, without opening the node as a drive.
 
 No PDO is mapped, no heartbeat requested, nothing is set up that would have to be restored, so the values read are those that the
-user set. `parameters` decides what may be written.
+user set. `not_parameters` says what may not be written.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from drivers.canopen.eds_text import summary
 from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of, unit_text
 from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
-from drivers.canopen.parameters import ON_COMMAND, SAVE
 from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo import most_bytes
 from drivers.canopen.sdo_cost import transfer
@@ -336,7 +335,7 @@ class CanOpenRawParameters(RawParameters):
     # -- storing and restoring ---------------------------------------------------------------------------------------------
     def objection_to_store(self) -> Steps[str | None]:
         abilities = yield from self._optional(cia301.STORE_ALL)
-        if isinstance(abilities, int) and abilities & ON_COMMAND:
+        if isinstance(abilities, int) and abilities & cia301.ON_COMMAND:
             return None
         return f"it does not keep its parameters on command ({cia301.STORE_ALL})"
 
@@ -351,7 +350,7 @@ class CanOpenRawParameters(RawParameters):
         for entry, value in targets:
             if isinstance(value, int):
                 yield from self._make_harmless(entry, value)
-        yield from self._download(cia301.STORE_ALL, SAVE, timeout_s=STORE_S, reads_back=False)
+        yield from self._download(cia301.STORE_ALL, cia301.SAVE, timeout_s=STORE_S, reads_back=False)
 
     def _make_harmless(self, entry: Entry, value: int) -> Steps[None]:
         try:
@@ -363,7 +362,7 @@ class CanOpenRawParameters(RawParameters):
     def load_defaults(self) -> Steps[None]:
         """1011h:1 := "load". Raises CapabilityError where it is not done on command."""
         abilities = yield from self._optional(cia301.RESTORE_ALL)
-        if not isinstance(abilities, int) or not abilities & ON_COMMAND:
+        if not isinstance(abilities, int) or not abilities & cia301.ON_COMMAND:
             raise CapabilityError(f"drive {self.name}: {cia301.RESTORE_ALL} is not done on command")
         yield from self._download(cia301.RESTORE_ALL, b"load", timeout_s=STORE_S, reads_back=False)
 

@@ -11,8 +11,6 @@ import pytest
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.eds import EdsFile, load_eds
-from drivers.canopen.parameters import CanOpenParameters
-from drivers.cia402.objects import DataType
 from drivers.drive import DriveLimits
 from drivers.errors import (
     AbortError,
@@ -27,7 +25,7 @@ from sim_backends.canopen_store import Flash
 
 NODE = 5
 LIMITS = DriveLimits(-200.0, 200.0, 200.0, 2000.0)
-GAIN = (0x2210, 1)
+GAIN = "2210h:01"
 
 
 @pytest.fixture(scope="module")
@@ -50,10 +48,11 @@ class Rig:
             self.bench.clock,
             link=self.link,
             node_id=NODE,
+            eds=eds,
             settings=CanOpenSettings(sdo_timeout_s=0.1),
         )
         self.stack.enter_context(self.drive)
-        self.parameters = CanOpenParameters(self.drive.node, eds)
+        self.parameters = self.drive.parameters
 
     def number(self, index: int, subindex: int = 0) -> int:
         return self.bench.slave.dictionary.number(index, subindex)
@@ -67,45 +66,47 @@ def rig(eds: EdsFile) -> Iterator[Rig]:
 
 
 def test_a_drive_that_keeps_another_value_is_found_out(rig: Rig) -> None:
-    dictionary = rig.bench.slave.dictionary
-    dictionary.on_read(*GAIN, lambda: 5)
+    rig.bench.slave.dictionary.on_read(0x2210, 1, lambda: 5)
     with pytest.raises(ProtocolError, match="2210h:01 Proportional gain was written 4321, it reads back 5"):
-        rig.parameters.write(rig.parameters.find(*GAIN), 4321)
+        rig.parameters.write(GAIN, 4321)
 
 
 @pytest.mark.parametrize(
-    ("key", "held", "new", "limits"),
-    [(GAIN, 1000, 400, (0, 500)), ((0x6065, 0), 0xFFFF_FFFF, 20_000, (1, 100_000)), ((0x607C, 0), -5, 50, (0, 100))],
+    ("name", "key", "values", "limits"),
+    [
+        (GAIN, (0x2210, 1), (1000, 400), (0, 500)),
+        ("following_error_window", (0x6065, 0), (0xFFFF_FFFF, 20_000), (1, 100_000)),
+        ("home_offset", (0x607C, 0), (-5, 50), (0, 100)),
+    ],
 )
 def test_what_the_drive_was_found_with_can_be_put_back(
-    rig: Rig, key: tuple[int, int], held: int, new: int, limits: tuple[int, int]
+    eds: EdsFile, name: str, key: tuple[int, int], values: tuple[int, int], limits: tuple[int, int]
 ) -> None:
-    rig.bench.slave.dictionary.set_number(*key, held)
-    found = replace(rig.parameters.find(*key), low=limits[0], high=limits[1])
-    assert rig.parameters.read(found).value == held
-    rig.parameters.write(found, new)
-    rig.parameters.write(found, held)
-    assert rig.number(*key) == held
-    other = held - 1  # out of range as well, and never held
-    with pytest.raises(InputError, match=rf"{other} is (above|below) its limit"):
-        rig.parameters.write(found, other)
+    held, new = values
+    narrow = replace(eds.entries[key], low=limits[0], high=limits[1])
+    rig = Rig(replace(eds, entries={**eds.entries, key: narrow}))
+    with rig.stack:
+        rig.bench.slave.dictionary.set_number(*key, held)
+        assert rig.parameters.read(name) == held
+        assert rig.parameters.write(name, new)
+        assert rig.parameters.write(name, held)
+        assert rig.number(*key) == held
+        other = held - 1  # out of range as well, and never held
+        with pytest.raises(InputError, match=rf"{other} is (above|below) its limit"):
+            rig.parameters.write(name, other)
+        assert rig.number(*key) == held
 
 
 def test_all_writable_parameters_take_their_own_value(rig: Rig) -> None:
-    for found in rig.parameters.writable():
-        if found.entry.type is not DataType.STRING and found.entry.index not in (
-            0x1005,
-            0x1006,
-            0x1014,
-            0x1016,
-            0x1017,
-        ):
-            rig.parameters.write(found, rig.parameters.read(found).value)
+    writable = [name for name in rig.parameters.names if rig.parameters.describe(name).writable]
+    assert GAIN in writable
+    for name in writable:
+        assert rig.parameters.write(name, rig.parameters.read(name)) is False
 
 
-def test_an_unknown_object_is_refused_with_the_file(rig: Rig) -> None:
-    with pytest.raises(InputError, match=r"servo_drive.eds: has no object 5000h:00"):
-        rig.parameters.find(0x5000)
+def test_an_unknown_object_is_refused(rig: Rig) -> None:
+    with pytest.raises(InputError, match="has no parameter '5000h:00'"):
+        rig.parameters.read("5000h:00")
 
 
 # -- store ---------------------------------------------------------------------------------------------------
