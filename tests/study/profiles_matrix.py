@@ -395,8 +395,7 @@ def study_profiles(names: Sequence[str], verbs: Sequence[str] = tuple(VERBS)) ->
 
 
 def profiles_markdown(rows: Sequence[ProfileRow]) -> str:
-    """The names of all profiles, and a table of what is not "yes": result, reason, steps or verbs, and the profiles; those of most
-    profiles with the others left out."""
+    """A table of what is not "yes": result, reason, steps or verbs, and the profiles; of most profiles, those that are excepted."""
     found: dict[tuple[str, str, str], list[str]] = {}
     for row in rows:
         reasons = {column: text for column, _, text in (reason.partition(": ") for reason in reversed(row.reasons))}
@@ -407,8 +406,7 @@ def profiles_markdown(rows: Sequence[ProfileRow]) -> str:
     merged: dict[tuple[str, str, tuple[str, ...]], list[str]] = {}
     for (result, reason, column), names in found.items():
         merged.setdefault((result, reason, tuple(names)), []).append(column)
-    lines = ["Profiles: " + ", ".join(f"`{row.name}`" for row in rows) + ".", ""]
-    lines += ["| Not done | Result | Reason | Profiles |", "|---|---|---|---|"]
+    lines = ["| Not done | Result | Reason | Profiles |", "|---|---|---|---|"]
     for (result, reason, names), columns in merged.items():
         others = [row.name for row in rows if row.name not in names]
         are_most = 2 * len(names) > len(rows)
