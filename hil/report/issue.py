@@ -49,7 +49,9 @@ def write_certificates(
     made = _certificate(args, axis, campaigns, diagnosis)
     key_file = args.key or axis.store.builder_key
     usual = None if args.key else axis.store.key_password_file
-    secret = password(args.key_password_file, KEY, "password of the builder's key", os.environ, usual=usual)
+    secret = getattr(args, "key_password", None)  # a script's
+    if secret is None:
+        secret = password(args.key_password_file, KEY, "password of the builder's key", os.environ, usual=usual)
     key = load_private_key(key_file, secret)
     signer = fingerprint(key.public_key())
     written: dict[str, bytes] = {}

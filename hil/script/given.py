@@ -74,7 +74,7 @@ class Passwords:
     """Passwords that a script gives; None: not given."""
 
     def __init__(self, reading: str | None, key: str | None) -> None:
-        self._reading, self._key = reading, key
+        self._reading, self.key = reading, key
 
     def store(self, axis: AxisConfig, *, writing: bool) -> SealedStore:
         """The axis's store. Raises as `hil.ui.terminal.passwords.password` and `SealedStore.of`."""
@@ -83,7 +83,7 @@ class Passwords:
         from hil.ui.terminal.options import KEY, READING  # noqa: PLC0415
         from hil.ui.terminal.passwords import password  # noqa: PLC0415
 
-        key, reading, usual = self._key, self._reading, axis.store
+        key, reading, usual = self.key, self._reading, axis.store
         if writing and key is None:
             key = password(None, KEY, "builder key's password", os.environ, usual=usual.key_password_file)
         if reading is None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from abc import ABC, abstractmethod
+from argparse import Namespace
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -17,6 +18,7 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, DriveAxis, accuracy_of
 from hil.figures.verdict import Accuracy
 from hil.records.rows import Records
+from hil.script.given import Passwords
 from hil.script.rows import Rows
 
 if TYPE_CHECKING:  # what measures and fits loads slowly
@@ -93,15 +95,17 @@ class Result(ABC):
         return Path(path)
 
     def certificate(self, path: str | Path) -> Path:
-        """Write the signed certificate, PDF, of the last pass, as `hil report --certificate` does; the key's password is that of the
-        environment or the axis file. Raises CapabilityError where this kind of result has none, and as the verb."""
+        """Write the signed certificate, PDF, of the last pass, as `hil report --certificate` does. The key's password is that of
+        `hil.open`, else of the environment or the axis file. Raises CapabilityError where this kind of result has none; and as the
+        verb."""
         rows = self._certified()
         if rows is None:
             raise CapabilityError(f"a {type(self).__name__} is not certified: verify() is")
         from hil.app.main import build_parser  # noqa: PLC0415  (plots are slow to import)
 
         words = ["report", str(rows), "--axis-file", str(self.axis.path), "--certificate", str(path)]
-        arguments = build_parser(words).parse_args(words)
+        given = Namespace(key_password=self._key_password())
+        arguments = build_parser(words).parse_args(words, given)
         with redirect_stdout(io.StringIO()):
             arguments.run(arguments)
         return Path(path)
@@ -110,6 +114,10 @@ class Result(ABC):
         raise CapabilityError(f"a {type(self).__name__} has no report: save() writes it as JSON")
 
     def _certified(self) -> Path | None:
+        return None
+
+    def _key_password(self) -> str | None:
+        """Of the builder's key, as the script gave it."""
         return None
 
     def __repr__(self) -> str:
@@ -220,6 +228,7 @@ class VerificationResult(MeasuredResult):
     axis: AxisConfig
     tables: TableSet | None
     raw: Verification
+    _passwords: Passwords
 
     @cached_property
     def accuracy(self) -> Accuracy:
@@ -273,6 +282,9 @@ class VerificationResult(MeasuredResult):
         if self.campaign is None:
             return None
         return self.campaign / f"{'uncorrected' if self.tables is None else 'verify'}.csv"
+
+    def _key_password(self) -> str | None:
+        return self._passwords.key
 
 
 @dataclass(frozen=True, repr=False)

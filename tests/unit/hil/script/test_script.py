@@ -220,9 +220,12 @@ def test_what_is_left_is_found_and_put_into_force(path: Path, tmp_path: Path) ->
 
 
 @pytest.mark.outside
-def test_a_verification_is_certified(path: Path, tmp_path: Path) -> None:
+def test_a_verification_is_certified(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path.write_text(path.read_text() + bench_axis.CERTIFICATE)
-    with hil.open(path) as axis:
+    for name in bench_axis.PASSWORDS:
+        monkeypatch.delenv(name)
+    reading, key = bench_axis.PASSWORDS.values()
+    with hil.open(path, password=reading, key_password=key) as axis:
         axis.calibrate(**SHORT)  # type: ignore[arg-type]
         proof = axis.verify(**SHORT | {"runs": 5})  # type: ignore[arg-type]
     made = proof.certificate(tmp_path / "certificate.pdf")
