@@ -18,15 +18,16 @@ from hil.calibration.explore import Exploration
 from hil.calibration.job import VERIFY, Verification, run_verification
 from hil.correction.sealed import new_key, save_private_key, save_public_key
 from hil.correction.store import SealedStore
-from hil.desk.figures import error_figures
+from hil.diagnosis.loop.command import print_findings
 from hil.diagnosis.loop.job import loop_stages
 from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
 from hil.diagnosis.loop.procedure import Loop, Turning, close_loop
+from hil.figures.error_figures import error_figures
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.ui.terminal.output import print_facts, write_json
 from hil.ui.terminal.progress import terminal_progress
-from hil.ui.terminal.summary import print_accuracy, print_findings, print_stages
+from hil.ui.terminal.summary import print_accuracy, print_stages
 
 MARKER = "made-by-hil-demo"
 TURNING = Turning(Exploration(runs=4, rows=28, warm_up_s=180.0), most_further=0)

@@ -6,12 +6,12 @@ from datetime import datetime
 from typing import Any
 
 from hil.axis.axis_file import DriveAxis
+from hil.axis.identity import drive_in_words
 from hil.backlash.job import MeasuredBacklash
 from hil.backlash.neutral_settings import BacklashSettings
 from hil.backlash.procedure import TorqueBacklash
 from hil.backlash.result import NAMES, fitted_lost_motion, mean_um, reversal_json
 from hil.backlash.settings import NoSetting
-from hil.desk.identity import drive_in_words
 
 
 def facts(settings: BacklashSettings, result: TorqueBacklash) -> dict[str, str]:

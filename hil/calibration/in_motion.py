@@ -19,9 +19,9 @@ from drivers.drive import Capability
 from drivers.errors import InputError
 from drivers.instrument import Reading
 from drivers.set_points import SetPointSettings, SetPointStream
-from hil.calibration.in_motion_settings import InMotion
 from hil.figures.latency import DELAY, check_feeds
 from hil.machine.events import Event, Listener, silent
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.measure import BASE_COLUMNS
 from hil.machine.sample_times import SampleDating, sample_dating
 from hil.machine.session import AxisSession

@@ -33,10 +33,10 @@ from hil.correction.tables import (
     judge,
     section_means,
 )
-from hil.desk.figures import error_figures
 from hil.desk.job import Job, Workplace, tell_unchecked
 from hil.desk.plan import Move, Plan, Write, going_on, measuring_plan
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
+from hil.figures.error_figures import error_figures
 from hil.figures.history import purpose_of_replay
 from hil.machine.axes_wiring import connected_across
 from hil.machine.events import Event, Listener, silent

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 from drivers.errors import InputError
 from hil.calibration.in_motion import FeedPass, check_passes, measure_in_motion, plan_passes
-from hil.calibration.in_motion_settings import InMotion
 from hil.figures.latency import Latency, latency_at_edges, latency_by_passes, time_shift
 from hil.machine.events import Listener, silent
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.session import AxisSession
 from hil.records.journal import Campaign
 

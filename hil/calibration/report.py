@@ -7,10 +7,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.axis.axis_file import AxisConfig, uncertainty_of
+from hil.axis.identity import identity
 from hil.calibration.calibrate import Calibration
 from hil.calibration.job import Verification
 from hil.correction.tables import Band, TableSet
-from hil.desk.identity import identity
 from hil.ui.report.data import NamedCampaign, ReportData, TableInForce
 from hil.ui.report.document import render_html
 

@@ -10,9 +10,8 @@ import itertools
 import logging
 import math
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from typing import Any
 
 from drivers.errors import (
     DriveFaultError,
@@ -36,7 +35,7 @@ from hil.desk.progress import Graph, JobLog, Phase, Progress
 from hil.desk.roles import LockedError, Rights
 from hil.desk.standstill import CameToRest
 from hil.desk.unfinished import UnfinishedWork, discard
-from hil.desk.worker_process import Computed, WorkerProcess
+from hil.desk.worker_process import Computed, Passes, Work, WorkerProcess
 from hil.probe.machine_file import ProbeMachineConfig
 
 _LOG = logging.getLogger("hil.panel")
@@ -219,13 +218,13 @@ class Desk:
         """Acknowledge a fault; the axis stays disabled. Raises as `run`."""
         self.run(token, Job("reset fault", self._bare_plan(), lambda place: place.drive.reset_fault()))
 
-    def compute(self, token: str | None, request: Mapping[str, Any]) -> None:
-        """Start a computation on stored campaigns (`hil.app.worker_process.request`), independent of the axis.
+    def compute(self, token: str | None, work: Work, campaigns: Sequence[Passes] = ()) -> None:
+        """Start a computation on stored campaigns, independent of the axis.
 
         Raises NotInControlError, and ComputingError while another runs.
         """
         self.control.require(token)
-        self._worker.start(request)
+        self._worker.start(work.request(campaigns))
 
     def cancel_computing(self, token: str | None) -> None:
         """Cancel the computation. Raises NotInControlError."""

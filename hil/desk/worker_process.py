@@ -15,9 +15,33 @@ from typing import Any
 from drivers.errors import LocalError
 from hil.desk.error_log import ErrorLog
 
-PROGRAM = (sys.executable, "-m", "hil.app.worker_process")
+PROGRAM = (sys.executable, "-m", "hil.desk.worker_program")
 CLOSING_S = 5.0
 """Time limit for the process to end, s; then it is killed."""
+
+
+@dataclass(frozen=True)
+class Passes:
+    """Passes of one campaign to compute on. paths: their files, at least one."""
+
+    label: str
+    paths: tuple[Path, ...]
+
+
+@dataclass(frozen=True)
+class Work:
+    """A computation on stored campaigns, which the worker process imports.
+
+    function: "module:name" of a function of the axis and a list of `Passes`; it returns the names of the files that it wrote
+    """
+
+    name: str
+    function: str
+
+    def request(self, campaigns: Sequence[Passes] = ()) -> dict[str, Any]:
+        """The request to the worker process, as plain values."""
+        of = [[one.label, [str(path) for path in one.paths]] for one in campaigns]
+        return {"work": self.name, "function": self.function, "campaigns": of}
 
 
 class ComputingError(LocalError):

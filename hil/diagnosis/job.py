@@ -11,11 +11,12 @@ import numpy as np
 
 from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig
+from hil.desk.worker_process import Passes
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import FollowUp, diagnosed
 from hil.diagnosis.joining import joined
 from hil.diagnosis.pictures import with_plots
-from hil.diagnosis.stored import sources
+from hil.diagnosis.stored import sources, stored_beside
 from hil.effects.user_effects import attributing_errors, catalogue_with
 from hil.records.rows import Floats, Records
 from hil.ui.report.data import NamedCampaign
@@ -29,14 +30,18 @@ MOST_TURNS = 6.0
 SIGNS = {1: "+", -1: "−"}
 
 
-def diagnose_passes(axis: AxisConfig, paths: Sequence[Path], out: Path) -> None:
-    """Diagnoses passes of one campaign together, as `hil diagnose` does, and writes the result. Raises InputError."""
+def diagnose_campaign(axis: AxisConfig, campaigns: Sequence[Passes]) -> list[str]:
+    """Diagnose all passes of the first of these campaigns together, as `hil diagnose` does, and store the result beside them; returns
+    its file. Raises InputError."""
+    paths = campaigns[0].paths
     effects = catalogue_with()
     with attributing_errors(effects):
         records = read_passes(paths)
         follow = diagnosed(records, None, effects, pitches_mm=(axis.scaling.feed_mm_per_shaft_rev,))
     form = {**shown_diagnosis(follow, records), "sources": sources(paths)}
+    out = stored_beside(paths)
     replace_file(out, (json.dumps(form) + "\n").encode())
+    return [str(out)]
 
 
 def read_passes(paths: Sequence[str | Path], runs: tuple[int, ...] | None = None) -> Records:

@@ -9,18 +9,18 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.app import worker_process as aside
 from hil.axis.axis_file import AxisConfig
+from hil.desk.worker_process import Passes, Work
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
 from hil.diagnosis.loop.page import draw_loop
 from hil.diagnosis.page_data import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
 from hil.diagnosis.pages.sentences import parameter, sentence
-from hil.report.job import Wanted
 from hil.ui.screen.campaigns import Measurement
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Reading, Table, Tabs, measurement_words
 from hil.ui.screen.view import View
 
+DIAGNOSE = Work("diagnose", "hil.diagnosis.job:diagnose_campaign")
 Refresh = Callable[[], None]
 Kept = Reading[DiagnosisScreen]
 MARKS = {1: (5, False), -1: (1, True)}
@@ -101,7 +101,7 @@ def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
     async def start() -> None:
         of = None if kept.value is None else kept.value.choice(chosen["key"])
         if of is not None:
-            desk.compute(view.token, aside.request(aside.DIAGNOSE, [Wanted(of.key, of.paths)]))
+            desk.compute(view.token, DIAGNOSE, [Passes(of.key, of.paths)])
 
     messages = view.named(ui.label().classes("hil-note bad"), "diagnosis.messages")
     with view.card("diagnosis.campaign", name="diagnosis.choice"):
@@ -125,7 +125,7 @@ def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
             ):  # nobody has chosen, or it is gone; a choice made while these were read stands
                 chosen["key"] = read
             select.set_options(options, value=chosen["key"] or None)
-        ours = now.work == aside.DIAGNOSE
+        ours = now.work == DIAGNOSE.name
         busy = "" if view.in_control and not now.running else t("why.computing" if view.in_control else "why.control")
         start_button.allow(busy or ("" if screen is not None and screen.chosen is not None else t("why.no_campaign")))
         cancel.set_visibility(ours and now.running and view.in_control)

@@ -10,10 +10,10 @@ from typing import Any
 
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion_settings import InMotion
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
-from hil.diagnosis.stored import can_be_held_out, read_stored, sources
+from hil.diagnosis.stored import can_be_held_out, read_stored, sources, stored_beside
+from hil.machine.in_motion_settings import InMotion
 from hil.ui.report.views import estimate_of, label_of, list_of, object_of, objects_of, value_of
 from hil.ui.screen.campaigns import Measurement, measurements
 
@@ -104,15 +104,15 @@ def diagnosis_screen(axis: AxisConfig, key: str = "") -> DiagnosisScreen:
     """
     folder = axis.store.directory
     choices = tuple(measurements(folder))
-    by_itself = next((one for one in choices if one.diagnosis.exists()), choices[0] if choices else None)
+    by_itself = next((one for one in choices if stored_beside(one.paths).exists()), choices[0] if choices else None)
     chosen = next((one for one in choices if one.key == key), by_itself)
-    shown = None if chosen is None or not chosen.diagnosis.exists() else read_shown(chosen)
+    shown = None if chosen is None or not stored_beside(chosen.paths).exists() else read_shown(chosen)
     return DiagnosisScreen(choices, chosen, shown, unfinished_loop(folder), stored_loop(folder))
 
 
 def read_shown(of: Measurement) -> ShownDiagnosis:
     """The stored diagnosis of a measurement. Raises InputError for a file that holds none."""
-    form = read_stored(of.diagnosis)
+    form = read_stored(stored_beside(of.paths))
     drawn = object_of(form.get("drawn"))
     along = drawn.get("findings")
     curves = [_curves(one) for one in (along if isinstance(along, list) else [])]

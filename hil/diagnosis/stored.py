@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ from typing import Any
 from drivers.errors import InputError
 from drivers.files import read_bytes, read_text
 from hil.records.files import parse_json
+from hil.records.journal import measurement_of
 
 STORED = ".diagnosis.json"
 """Suffix after the name of the diagnosed pass or passes."""
@@ -20,18 +20,6 @@ def can_be_held_out(how: object) -> bool:
     """Whether rows left out in this way are predicted within what was measured. Quarters of a single run are not: the model has no row
     near them, and its figures there say nothing of the axis."""
     return isinstance(how, str) and "quarter" not in how
-
-
-def measurement_of(stem: str) -> str:
-    """Name of the measurement of a pass: before-1, before-2 … are "before"; any other pass is its own measurement."""
-    match = re.fullmatch(r"((?:motion-)?(?:before|after)|next-\d+)-\d+", stem)
-    return stem if match is None else match[1]
-
-
-def pass_number(stem: str) -> int:
-    """Number of a pass within its measurement, 0 for one that has none."""
-    name = measurement_of(stem)
-    return 0 if name == stem else int(stem.removeprefix(f"{name}-"))
 
 
 def stored_beside(paths: Sequence[Path]) -> Path:

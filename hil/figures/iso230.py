@@ -140,6 +140,11 @@ class Iso230:
         }
 
 
+def symbol(name: str) -> str:
+    """The symbol of a figure, such as "R↑" for "R_up"."""
+    return "B̄" if name == "B_mean" else name.replace("_up", "↑").replace("_down", "↓")
+
+
 def iso230(records: Records) -> Iso230:
     """The figures of ISO 230-2:2014, clauses 3 and 7, of one campaign.
 

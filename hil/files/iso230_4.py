@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import read_text, table_rows
-from hil.figures.iso230_4 import MEANINGS, STANDARD, CircularPath, iso230_4
+from hil.figures.iso230_4 import MEANINGS, iso230_4
 from hil.records.files import naming, parse_json, split_lines
 from hil.records.rows import UM_PER_MM, Floats, parse_number, shown
-from hil.ui.terminal.output import number, print_facts, print_table, write_json
+from hil.ui.terminal.output import number, print_facts, write_json
+from hil.ui.terminal.summary import print_paths
 
 
 def run(args: argparse.Namespace) -> int:
@@ -40,32 +40,6 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         write_json(args.json, {"paths": list(args.paths), "iso230_4": figures.as_json()})
     return 0
-
-
-def print_paths(paths: Mapping[str, CircularPath]) -> None:
-    """Prints the figures of paths by name."""
-    rows = [
-        [
-            name,
-            one.name,
-            number(one.G_um),
-            number(one.F_max_um),
-            number(one.F_min_um),
-            f"{one.start_deg:.1f}",
-            f"{one.end_deg:.1f}",
-        ]
-        for name, one in paths.items()
-    ]
-    heads: list[str | tuple[str, Literal["left", "right"]]] = [
-        "path",
-        ("sense", "left"),
-        "G, µm",
-        "Fmax, µm",
-        "Fmin, µm",
-        "start, °",
-        "end, °",
-    ]
-    print_table(heads, rows, title=f"{STANDARD}, about the least-squares circle")
 
 
 def _driven(text: str, wanted: str | None) -> tuple[float, tuple[Floats, Floats]]:

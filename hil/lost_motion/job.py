@@ -13,11 +13,11 @@ from typing import Any
 
 from drivers.errors import StateError
 from hil.axis.axis_file import AxisConfig
+from hil.axis.identity import drive_in_words
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import Rise, Shape
 from hil.correction.store import SealedStore, bound_tables, compensation_in_force
-from hil.desk.identity import drive_in_words
 from hil.desk.job import Job, Workplace, tell_unchecked
 from hil.desk.plan import Move, Plan, Write, going_on
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement

@@ -412,6 +412,18 @@ def name_of(path: str | Path) -> str:
     return f"{path.parent.name}/{path.name}" if (path.parent / MARKER).exists() else path.name
 
 
+def measurement_of(stem: str) -> str:
+    """Name of the measurement of a pass: before-1, before-2 … are "before"; any other pass is its own measurement."""
+    match = re.fullmatch(r"((?:motion-)?(?:before|after)|next-\d+)-\d+", stem)
+    return stem if match is None else match[1]
+
+
+def pass_number(stem: str) -> int:
+    """Number of a pass within its measurement, 0 for one that has none."""
+    name = measurement_of(stem)
+    return 0 if name == stem else int(stem.removeprefix(f"{name}-"))
+
+
 def simulated(path: str | Path) -> bool:
     """Whether the campaign of this record file states a simulated machine; False where it lies in none."""
     directory = Path(path).parent

@@ -18,9 +18,9 @@ import numpy as np
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.axis.certificate import CertificateConfig, Device, Party
-from hil.desk.identity import identity
+from hil.axis.identity import identity
 from hil.diagnosis.report.diagnosis import opening, percent, with_unit
-from hil.figures.iso230 import FIGURES, Iso230
+from hil.figures.iso230 import FIGURES, Iso230, symbol
 from hil.figures.iso230_4 import MEANINGS as CIRCULAR
 from hil.figures.uncertainty import CONFORMITY_RULE, Budget, Conformity, conformity
 from hil.figures.verdict import At, targets_of
@@ -30,7 +30,6 @@ from hil.records.rows import Floats, Records
 from hil.ui.report import markup, plots
 from hil.ui.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragraph, Span, Table, Tile, Tiles, said
 from hil.ui.report.data import NamedCampaign, environment
-from hil.ui.report.document import symbol
 from hil.ui.report.svg import Ground, Theme
 from hil.ui.report.uncertainty import budget_of
 from hil.ui.report.views import list_of, object_of, objects_of, value_of

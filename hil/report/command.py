@@ -15,10 +15,10 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from drivers.errors import InputError
 from drivers.files import decode_text, read_bytes, read_text, replace_file
 from hil.axis.axis_file import AxisConfig, load_axis, uncertainty_of
+from hil.axis.identity import identity
 from hil.calibration.job import CALIBRATE, VERIFY
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.correction.tables import Band
-from hil.desk.identity import identity
 from hil.figures.history import latest_file, read_campaign, series
 from hil.figures.uncertainty import Budget
 from hil.records.files import parse_json
@@ -59,10 +59,9 @@ def run(args: argparse.Namespace) -> int:
 
     Raises InputError for wrong files and arguments.
     """
-    from hil.diagnosis.report.diagnosis import opening  # noqa: PLC0415
+    from hil.diagnosis.report.diagnosis import opening, section  # noqa: PLC0415
     from hil.ui.report.data import NamedCampaign, ReportData, TableInForce  # noqa: PLC0415  (plots are slow to import)
     from hil.ui.report.document import budgets, render_files  # noqa: PLC0415
-    from hil.ui.report.views import diagnosed  # noqa: PLC0415
 
     axis = None if args.axis_file is None else load_axis(args.axis_file)
     if args.result is not None:
@@ -94,12 +93,10 @@ def run(args: argparse.Namespace) -> int:
         band=_band(args, axis),
         band_targets_mm=() if axis is None else axis.measurement.targets_mm,
         tables=tuple(TableInForce(Path(path).name, _sha256(read_bytes(path))) for path in args.table),
-        diagnosis=diagnosis,
-        diagnosed=None if diagnosis is None else diagnosed(campaigns[-1], diagnosis),
+        causes=() if diagnosis is None else section(diagnosis, campaigns[-1], all_plots=args.all_plots),
         notes=tuple(args.note),
         opening="" if diagnosis is None or len(campaigns) < 2 else opening(diagnosis, campaigns[0], campaigns[-1]),
         compare=args.compare is not None,
-        all_plots=args.all_plots,
         uncertainty=None if axis is None else uncertainty_of(axis),
         limit_um=args.limit if args.limit is not None or axis is None else axis.correction.accuracy_limit_um,
         signatures=signed,

@@ -49,7 +49,7 @@ class ErrorFigures:
     @classmethod
     def of(cls, records: Records) -> ErrorFigures:
         """The figures of these rows."""
-        from hil.desk.figures import error_figures  # noqa: PLC0415  (loads slowly)
+        from hil.figures.error_figures import error_figures  # noqa: PLC0415  (loads slowly)
 
         return cls(**error_figures(records))
 
@@ -500,7 +500,7 @@ class ProcedureResult(MeasuredResult):
 
     def _page(self) -> str:
         from hil.axis.axis_file import uncertainty_of  # noqa: PLC0415
-        from hil.desk.identity import identity  # noqa: PLC0415  (plots are slow to import)
+        from hil.axis.identity import identity  # noqa: PLC0415  (plots are slow to import)
         from hil.records.journal import name_of  # noqa: PLC0415
         from hil.ui.report.data import NamedCampaign, ReportData  # noqa: PLC0415
         from hil.ui.report.document import render_html  # noqa: PLC0415

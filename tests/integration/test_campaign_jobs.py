@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 from support.bench_axis import PASSWORDS, lay_out
 
-from hil.app import worker_process as aside
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import job as calibrate
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion_settings import feeds_of
 from hil.calibration.job import CALIBRATE
 from hil.calibration.page_data import calibration_screen
 from hil.desk.desk import Desk
@@ -21,15 +19,19 @@ from hil.desk.job import Job, Workplace
 from hil.desk.plan import Move
 from hil.desk.progress import Phase, Progress
 from hil.desk.roles import LockedError
+from hil.desk.worker_process import Passes
 from hil.diagnosis.loop.job import loop_job
 from hil.diagnosis.loop.jobs.plan import Looped, passes_at
 from hil.diagnosis.loop.jobs.stored import STAGES, StoredLoop, stored_loop
 from hil.diagnosis.loop.procedure import Turning
+from hil.diagnosis.page import DIAGNOSE
 from hil.diagnosis.page_data import diagnosis_screen
 from hil.machine.events import Event, Point
+from hil.machine.in_motion_settings import feeds_of
 from hil.records.rows import read_csv
-from hil.report.job import Wanted
-from hil.ui.screen.campaigns import measurements, reports
+from hil.report.job import HISTORY
+from hil.report.page_data import reports
+from hil.ui.screen.campaigns import measurements
 
 pytestmark = pytest.mark.outside
 Until = Callable[[Callable[[], bool], str], None]
@@ -146,14 +148,14 @@ def test_loop_diagnosis_and_history(axis: AxisConfig, desk: Desk) -> None:
     assert kept.shown.rms_um["before"] > 0.0
 
     again = next(one for one in measurements(axis.store.directory) if one.key == "close-loop-001/after")
-    desk.compute(token, aside.request(aside.DIAGNOSE, [Wanted(again.key, again.paths)]))
+    desk.compute(token, DIAGNOSE, [Passes(again.key, again.paths)])
     number = desk.trace()[-1].number
     waits(lambda: not desk.computed.running, "the diagnosis is made")
     assert desk.computed.error == ""
     assert desk.trace()[-1].number > number  # the axis was looked at meanwhile
     assert diagnosis_screen(axis, again.key).shown is not None
 
-    desk.compute(token, aside.request(aside.HISTORY))
+    desk.compute(token, HISTORY)
     waits(lambda: not desk.computed.running, "the history is made")
     assert desk.computed.made == ("history-001.html",), desk.computed.error
     assert [one.kind for one in reports(axis.store.directory)] == ["history"]

@@ -14,12 +14,12 @@ from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
 from hil.calibration.calibrate import calibrate
 from hil.calibration.in_motion import FeedPass, ramped_path
-from hil.calibration.in_motion_settings import InMotion
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import turn_in_motion
 from hil.effects import ALL
 from hil.machine.bench_wiring import bench_parameters
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.sample_times import SampleTimes
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign

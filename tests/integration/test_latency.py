@@ -18,10 +18,10 @@ from support import bench_axis
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.in_motion import measure_in_motion, plan_passes
-from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.latency import dated, measure_latency
 from hil.figures.latency import Latency
 from hil.machine.bench_wiring import bench_parameters
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.machine import Machine
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign

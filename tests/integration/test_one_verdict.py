@@ -13,9 +13,9 @@ import pytest
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.calibration.explore import Exploration, explore, plan_runs
-from hil.diagnosis.job import diagnose_passes
+from hil.desk.worker_process import Passes
+from hil.diagnosis.job import diagnose_campaign
 from hil.diagnosis.loop.procedure import Turning, decide
-from hil.diagnosis.stored import STORED
 from hil.fleet.causes import Task, diagnose_task
 from hil.machine.events import silent
 from hil.machine.wiring import connected
@@ -69,9 +69,8 @@ def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -
     assert verdict(command) == verdict(loop)
     assert confidences(command) == pytest.approx(confidences(loop), abs=1e-9)
 
-    stored = tmp_path / f"before{STORED}"
-    diagnose_passes(axis, by_name, stored)
-    screen = json.loads(stored.read_text())
+    (stored,) = diagnose_campaign(axis, [Passes("before", tuple(by_name))])
+    screen = json.loads(Path(stored).read_text())
     assert verdict(screen) == verdict(loop)
     assert confidences(screen) == pytest.approx(confidences(loop), abs=1e-9)
 

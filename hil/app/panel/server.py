@@ -23,9 +23,9 @@ from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Form, Guard
 from hil.app.panel.pages import PAGES
-from hil.app.panel.report_files import serve_reports
 from hil.desk.desk import Desk
 from hil.probe.machine_file import ProbeMachineConfig
+from hil.report.page import serve_reports
 from hil.ui.screen.browsers import COOKIE, Browsers
 from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import View

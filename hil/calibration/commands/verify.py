@@ -10,16 +10,15 @@ from drivers.files import replace_file
 from hil.axis.axis_file import accuracy_of, load_axis, uncertainty_of
 from hil.calibration.job import band_sentence, run_verification, verification_plan
 from hil.calibration.straightness import straightness_in
-from hil.desk.figures import error_figures
+from hil.figures.error_figures import error_figures
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget_um
-from hil.files.iso230 import print_figures
 from hil.ui.terminal.axis_options import load_stored, open_store, print_plan, tell_zero
 from hil.ui.terminal.measuring_options import limited, machine_of, recording_name
 from hil.ui.terminal.output import print_facts, write_json
 from hil.ui.terminal.progress import terminal_progress
 from hil.ui.terminal.records_input import read_effects
-from hil.ui.terminal.summary import print_accuracy, print_stages
+from hil.ui.terminal.summary import print_accuracy, print_figures, print_stages
 
 
 def run(args: argparse.Namespace) -> int:

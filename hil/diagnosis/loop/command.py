@@ -11,6 +11,7 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration, ExploringRun
 from hil.calibration.job import Verification, run_proof
+from hil.diagnosis import Diagnosis
 from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
 from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
 from hil.diagnosis.loop.next_run import runs_of
@@ -18,7 +19,7 @@ from hil.diagnosis.loop.procedure import MOST_RUNS, Consent, Loop, Turn, Turning
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.next.plans import read_plan
 from hil.effects.user_effects import attributing_errors
-from hil.figures.verdict import Accuracy
+from hil.figures.verdict import FITTED_PLUS_MINUS, Accuracy
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
 from hil.ui.terminal.axis_options import open_store, print_dry_run, tell_zero
@@ -26,7 +27,7 @@ from hil.ui.terminal.measuring_options import limited, machine_of, passes_of, re
 from hil.ui.terminal.output import write_json
 from hil.ui.terminal.progress import terminal_progress
 from hil.ui.terminal.records_input import read_effects
-from hil.ui.terminal.summary import print_accuracy, print_findings, print_stages
+from hil.ui.terminal.summary import print_accuracy, print_stages
 
 
 def run(args: argparse.Namespace) -> int:
@@ -172,3 +173,16 @@ def print_runs(turn: Turn) -> None:
                 print(f"{finding.effect} or {rival.effect} ({rival.confidence:.2f})? {rival.separate_by}")
     if follow.run is not None:
         print(f"next measurement, not made: {follow.run.describe()}")
+
+
+def print_findings(diagnosis: Diagnosis) -> None:
+    """Print the findings of a diagnosis, one line each."""
+    for finding in diagnosis.findings:
+        verdict = f"confidence {finding.confidence:.2f}, {finding.action.value}"
+        print(f"found: {finding.effect} ({verdict}). {finding.explanation}")
+    if any("±" in finding.explanation for finding in diagnosis.findings):
+        print(f"  {FITTED_PLUS_MINUS}")
+    if not diagnosis.findings:
+        print("found: nothing that the data support")
+    if diagnosis.unexplained:
+        print(f"unexplained: {diagnosis.unexplained_sentence}")

@@ -10,7 +10,6 @@ from typing import Any
 from drivers.errors import StateError
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import SealedStore
-from hil.desk.figures import error_figures
 from hil.desk.job import Job, Question, Workplace, tell_unchecked
 from hil.desk.plan import going_on
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
@@ -20,6 +19,7 @@ from hil.diagnosis.loop.jobs.stored import turn_is_good
 from hil.diagnosis.loop.procedure import Loop, Turn, Turning, close_loop
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.stored import STORED
+from hil.figures.error_figures import error_figures
 from hil.figures.history import purpose_of_replay
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.events import Listener, silent

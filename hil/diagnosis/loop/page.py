@@ -8,10 +8,10 @@ from nicegui import ui
 
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion_settings import feeds_of
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at
 from hil.diagnosis.page_data import DiagnosisScreen
-from hil.diagnosis.stored import measurement_of
+from hil.machine.in_motion_settings import feeds_of
+from hil.records.journal import measurement_of
 from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished

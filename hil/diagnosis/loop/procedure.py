@@ -24,7 +24,6 @@ from hil.axis.axis_file import CorrectionConfig
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.explore import Exploration, ExploringRun, explore, plan_runs
 from hil.calibration.in_motion import check_passes, measure_in_motion, plan_passes
-from hil.calibration.in_motion_settings import InMotion
 from hil.calibration.latency import dated
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet
@@ -40,6 +39,7 @@ from hil.effects.model import Model, PitchTable
 from hil.figures.latency import Latency
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, silent
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.session import AxisSession
 from hil.records.journal import Campaign
 from hil.records.rows import REQUIRED, Records

@@ -11,10 +11,9 @@ from hil.calibration.report import of_axis, verified_campaign
 from hil.diagnosis.loop.jobs.stored import STAGE_LABELS
 from hil.diagnosis.loop.procedure import Loop, Turn
 from hil.diagnosis.pictures import with_plots
-from hil.diagnosis.report.diagnosis import opening
+from hil.diagnosis.report.diagnosis import opening, section
 from hil.ui.report.data import NamedCampaign
 from hil.ui.report.document import before_after_image, render_html
-from hil.ui.report.views import diagnosed
 
 BEFORE, AFTER = STAGE_LABELS["table, explored"], STAGE_LABELS["extended, explored"]
 """The pair that says what the loop reached: terminal, report and picture show it under these names."""
@@ -29,8 +28,7 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = (), proof: 
     data = replace(
         of_axis(axis, "Closed loop on", (*campaigns, *proven), turn.extended.tables),
         opening=opening(found, before, after),
-        diagnosis=found,
-        diagnosed=diagnosed(NamedCampaign("diagnosed", turn.diagnosed), found),
+        causes=section(found, NamedCampaign("diagnosed", turn.diagnosed)),
         notes=(*notes, *_in_motion_notes(loop.in_motion)),
     )
     return render_html(data)

@@ -37,6 +37,7 @@ from hil.ui.report.views import (
     objects_of,
     position_view,
     value_of,
+    with_residual,
 )
 
 ACTIONS = {
@@ -46,8 +47,14 @@ ACTIONS = {
 }
 
 
-def section(diagnosis: Mapping[str, Any], diagnosed: NamedCampaign | None, *, all_plots: bool = False) -> list[Block]:
-    """The blocks of the part. all_plots: with the extended model's residual, even where nothing is unexplained."""
+def section(diagnosis: Mapping[str, Any], campaign: NamedCampaign | None, *, all_plots: bool = False) -> list[Block]:
+    """The part of a report on what is left. diagnosis: the JSON form of `hil diagnose`; a finding may have
+    "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
+
+    campaign: the diagnosed one; its residual_um is drawn where the diagnosis has one number per row, else its error; None: no plots
+    all_plots: with the extended model's residual, even where nothing is unexplained
+    """
+    diagnosed = None if campaign is None else with_residual(campaign, diagnosis)
     findings = objects_of(diagnosis.get("findings"))
     parts: list[Block] = [Heading("What is left, and why"), *_summary(diagnosis)]
     if any("±" in str(one.get("explanation")) for one in findings):
@@ -148,7 +155,7 @@ def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
     for key, name in (("rms_um", "RMS residual, µm"), ("peak_um", "largest residual, µm")):
         before, after = value_of(diagnosis.get("before"), key), value_of(diagnosis.get("after"), key)
         if before is not None and after is not None:
-            rows.append((name, markup.number(before), markup.number(after), change(before, after)))
+            rows.append((name, markup.number(before), markup.number(after), markup.change(before, after)))
     facts = []
     if (floor := value_of(diagnosis, "noise_floor_um")) is not None:
         spread = value_of(diagnosis, "noise_floor_std_um")
@@ -168,11 +175,6 @@ def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
     head = ("", "declared model", "with the effects found", "change")
     table = [Table(head, tuple(rows), "numbers")] if rows else []
     return [said(" ".join(facts)), *table]
-
-
-def change(before: float | None, after: float | None) -> str:
-    """A relative change as text, a dash where it is undefined."""
-    return "–" if not before or after is None else f"{100 * (after - before) / abs(before):+.0f} %"
 
 
 def _residual(diagnosed: NamedCampaign, findings: list[Mapping[str, Any]]) -> list[Block]:

@@ -8,7 +8,6 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import bound_tables
-from hil.files.iso230_4 import print_paths
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, by_standard
 from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
 from hil.machine.axes_wiring import connected_axes
@@ -16,6 +15,7 @@ from hil.ui.terminal.axis_options import load_stored, open_store, tell_zero
 from hil.ui.terminal.output import number, print_facts, print_table, write_json
 from hil.ui.terminal.progress import terminal_progress
 from hil.ui.terminal.records_input import read_effects
+from hil.ui.terminal.summary import print_paths
 
 MM_MIN = 60.0
 

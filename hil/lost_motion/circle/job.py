@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.axis.axis_file import AxisConfig
+from hil.axis.identity import drive_in_words
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, compensation_in_force
-from hil.desk.identity import drive_in_words
 from hil.desk.job import Job, Workplace
 from hil.desk.plan import Move, Plan, Write
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace, by_standard

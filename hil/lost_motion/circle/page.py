@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from nicegui import ui
 
@@ -10,13 +10,18 @@ from hil.axis.axis_file import AxisConfig
 from hil.desk.desk import Desk
 from hil.lost_motion.circle import job as circle
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
-from hil.lost_motion.page_data import circle_curves, driven_circle
-from hil.ui.screen.drawings import Drawing, around_a_circle
+from hil.lost_motion.page_data import CircleCurves, circle_curves, driven_circle
+from hil.ui.screen.drawings import Drawing, Options, angle_axis, short
 from hil.ui.screen.pieces import Latest, Table
+from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
 from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
 RADIUS_MM, FEED_MM_MIN, S_PER_MIN = 10.0, 100.0, 60.0
+RINGS = 4
+"""Number of rings on each side of the commanded circle."""
+_INSIDE = 8
+"""Distance from the centre to the innermost ring, in widths of a ring."""
 
 
 def draw_circle(view: View, axis: AxisConfig) -> Refresh:
@@ -119,3 +124,60 @@ def _draw_figures(view: View) -> Refresh:
         )
 
     return refresh
+
+
+def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], commanded: str) -> Options:
+    """Deviations around the circle, magnified; names: of its curves, in their order."""
+    ink, grid = inks(view)
+    palette = PALETTES[view.browser.dark]
+    ring, reach = shown.ring_um, RINGS * shown.ring_um
+    shown_every = f"Math.abs(value) < {reach * 1.01} && Math.round(value / {ring}) % 2 === 0"
+    label = f"value => {shown_every} ? ({number_format(view)})(Number(value.toPrecision(6))) : ''"
+    looks = [
+        (1, {"width": 2, "type": "dashed"}),
+        (3, {"width": 2, "type": "dotted"}),
+        (5, {"width": 3, "type": "solid"}),
+    ]
+    if len(shown.traces) < len(looks):
+        del looks[1]  # of tables alone, beside the lost motion
+    zero = {
+        "name": commanded,
+        "type": "line",
+        "coordinateSystem": "polar",
+        "showSymbol": False,
+        "silent": True,
+        "data": [[0, angle] for angle in range(0, 361, 3)],
+        "lineStyle": {"color": ink, "width": 2},
+        "itemStyle": {"color": ink},
+    }
+    traces = [
+        {
+            "name": name,
+            "type": "line",
+            "coordinateSystem": "polar",
+            "showSymbol": False,
+            "connectNulls": False,
+            "data": [[None, None] if point is None else list(short([point])[0]) for point in shown.traces[key]],
+            "lineStyle": {"color": palette[colour], **width},
+            "itemStyle": {"color": palette[colour]},
+        }
+        for key, name, (colour, width) in zip(shown.traces, names, looks, strict=False)
+    ]
+    return {
+        "animation": False,
+        "textStyle": {"fontFamily": FONT},
+        "legend": one_line_legend(ink),
+        "polar": {"center": ["50%", "54%"], "radius": "78%"},
+        "angleAxis": angle_axis(ink, grid),
+        "radiusAxis": {
+            "type": "value",
+            "min": -(RINGS + _INSIDE) * ring,
+            "max": reach,
+            "interval": ring,
+            "axisLabel": {"color": ink, "fontSize": 13, "margin": 4, ":formatter": label},
+            "axisTick": {"show": False},
+            "axisLine": {"show": False},
+            "splitLine": {"lineStyle": {"color": grid}},
+        },
+        "series": [zero, *traces],
+    }

@@ -6,9 +6,9 @@ Nothing here measures, fits or draws.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from hil.figures.iso230 import Iso230, iso230
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.figures.verdict import Accuracy, At, accuracy
 from hil.records.rows import Floats, Records
+
+if TYPE_CHECKING:  # drawings are slow to import
+    from hil.ui.report.blocks import Block
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
 
@@ -71,10 +74,7 @@ class ReportData:
     band             the specified accuracy band, with the signs of its sections; None without one
     band_targets_mm  targets of the tables: between two of them whose signs differ, means are not held against the band
     tables           correction tables in force in the last campaign
-    diagnosis        the JSON form of `hil diagnose`, None without one. A finding may have
-                     "plot": {"column": name, "unit": unit, "x": [...], "residual_um": [...], "effect_um": [...]}
-    diagnosed        the campaign of the diagnosis; its column residual_um is drawn where it has one, else its error
-    all_plots        whether the residual of the extended model is drawn also where the diagnosis leaves nothing unexplained
+    causes           blocks on the causes of what is left, () without a diagnosis
     compare          whether the two campaigns are compared target by target; InputError unless there are two
     uncertainty      inputs on instrument and room; figures are then given with their expanded uncertainty
     signatures       file name -> who signed it, or why its signature is not good
@@ -88,14 +88,12 @@ class ReportData:
     identity: Mapping[str, str] = field(default_factory=dict)
     band: Band | None = None
     tables: tuple[TableInForce, ...] = ()
-    diagnosis: Mapping[str, Any] | None = None
-    diagnosed: NamedCampaign | None = None
+    causes: Sequence[Block] = ()
     notes: tuple[str, ...] = ()
     created: str = ""
     uncertainty: UncertaintyInputs | None = None
     signatures: Mapping[str, str] = field(default_factory=dict)
     compare: bool = False
-    all_plots: bool = False
     band_targets_mm: tuple[float, ...] = ()
     limit_um: float | None = None
     opening: str = ""

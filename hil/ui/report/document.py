@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from hil.correction.tables import Band, SectionMeans, judge
-from hil.diagnosis.report import diagnosis as diagnosis_part
-from hil.figures.iso230 import FIGURES, Iso230
+from hil.figures.iso230 import FIGURES, Iso230, symbol
 from hil.figures.uncertainty import Budget
 from hil.figures.verdict import PLUS_MINUS, At, Decision
 from hil.records.rows import Floats, Records
@@ -126,8 +125,7 @@ def content(data: ReportData) -> list[Block]:
         parts += compare.section(*data.campaigns)
     for index, campaign in enumerate(data.campaigns, start=1):
         parts += _campaign(index, campaign, data)
-    if data.diagnosis is not None:
-        parts += diagnosis_part.section(data.diagnosis, data.diagnosed, all_plots=data.all_plots)
+    parts += data.causes
     parts += uncertainty_part.section(budgets(data), [campaign.label for campaign in data.campaigns])
     parts += [*_tables_in_force(data), *_signatures(data)]
     return [*parts, Heading("Notes"), Bullets(data.notes)] if data.notes else parts
@@ -209,7 +207,7 @@ def _tile(title: str, first: float | None, last: float | None, *, was: str) -> T
     if not was or first is None or last is None:
         return Tile(title, value, "µm")
     below = f"{was}: {markup.number(first)} µm"
-    return Tile(title, value, "µm", below, diagnosis_part.change(first, last), None if last == first else last < first)
+    return Tile(title, value, "µm", below, markup.change(first, last), None if last == first else last < first)
 
 
 def _band_tile(figures: Iso230, band: Band, targets_mm: Sequence[float], *, judged: bool) -> Tile:
@@ -252,7 +250,7 @@ def _figures_table(data: ReportData) -> list[Block]:
     rows = []
     for name, meaning in FIGURES.items():
         values = [figures.figures()[name] if isinstance(figures, Iso230) else None for figures in all_figures]
-        last = [diagnosis_part.change(values[0], values[-1])] if compare else []
+        last = [markup.change(values[0], values[-1])] if compare else []
         if name == "B_mean" and compare:
             last = ["–"]
         cells = [uncertainty_part.stated(value, name, known) for value, known in zip(values, spreads, strict=True)]
@@ -262,7 +260,7 @@ def _figures_table(data: ReportData) -> list[Block]:
         ("largest error", [float(np.max(np.abs(campaign.records.error_um))) for campaign in data.campaigns]),
     ]
     for title, numbers in spread:
-        last = [diagnosis_part.change(numbers[0], numbers[-1])] if compare else []
+        last = [markup.change(numbers[0], numbers[-1])] if compare else []
         rows.append((title, *map(markup.number, numbers), *last, "over all rows"))
     shape = [
         f"{figures.m} targets, {figures.n} runs" if isinstance(figures, Iso230) else f"{len(campaign.records)} rows"
@@ -344,8 +342,3 @@ def _signatures(data: ReportData) -> list[Block]:
     if not data.signatures:
         return []
     return [Heading("Signatures"), Table(("File", "Signature"), tuple(data.signatures.items()), "hash")]
-
-
-def symbol(name: str) -> str:
-    """The symbol of a figure, such as "R↑" for "R_up"."""
-    return "B̄" if name == "B_mean" else name.replace("_up", "↑").replace("_down", "↓")

@@ -12,8 +12,8 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import Figure
 
 from hil.figures.history import Moment, trend
+from hil.figures.iso230 import symbol
 from hil.ui.report import markup
-from hil.ui.report.document import symbol
 from hil.ui.report.markup import header, page
 from hil.ui.report.svg import LIGHT, PAGE, RC, Theme, file_bytes, inline_svg, label_axes, new_figure
 

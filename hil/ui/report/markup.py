@@ -55,6 +55,11 @@ def text(value: object) -> str:
     return escape(plain(value), quote=True)
 
 
+def change(before: float | None, after: float | None) -> str:
+    """A relative change as text, a dash where it is undefined."""
+    return "–" if not before or after is None else f"{100 * (after - before) / abs(before):+.0f} %"
+
+
 def number(value: float | None, decimals: int = 2) -> str:
     """A number with fixed decimals; a dash for None and for one that is not finite."""
     if value is None or not math.isfinite(value):

@@ -51,7 +51,7 @@ class View:
     of: str = "Residual"
 
 
-def diagnosed(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCampaign:
+def with_residual(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> NamedCampaign:
     """The campaign with `residual_um` and `explained_um` of its diagnosis as columns, each where it has one number per row."""
     records = campaign.records
     for name in ("residual_um", "explained_um"):

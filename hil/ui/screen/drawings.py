@@ -8,26 +8,18 @@ from typing import Any
 
 from nicegui import ui
 
-from hil.lost_motion.page_data import CircleCurves
 from hil.ui.screen.pieces import Latest
 from hil.ui.screen.plots import (
-    FONT,
     PALETTES,
     chart_options,
     inks,
     nothing_drawn,
-    number_format,
-    one_line_legend,
     pointed_at,
 )
 from hil.ui.screen.view import View
 
 Points = Sequence[tuple[float, float]]
 Options = dict[str, Any]
-RINGS = 4
-"""Number of rings on each side of the commanded circle."""
-_INSIDE = 8
-"""Distance from the centre to the innermost ring, in widths of a ring."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +74,7 @@ def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
 
 def _series(curve: Curve, view: View) -> Options:
     colour = inks(view)[0] if curve.faint else PALETTES[view.browser.dark][curve.colour]
-    common = {"name": curve.name, "data": _short(curve.points), "itemStyle": {"color": colour}, "color": colour}
+    common = {"name": curve.name, "data": short(curve.points), "itemStyle": {"color": colour}, "color": colour}
     if curve.symbol:
         turn = {"symbolRotate": 180} if curve.turned else {}
         return {**common, **turn, "type": "scatter", "symbol": curve.symbol, "symbolSize": 8, "z": 2}
@@ -92,63 +84,6 @@ def _series(curve: Curve, view: View) -> Options:
         else {"color": colour, "width": 3}
     )
     return {**common, "type": "line", "showSymbol": False, "lineStyle": line, "z": 1 if curve.faint else 3}
-
-
-def around_a_circle(view: View, shown: CircleCurves, names: Sequence[str], commanded: str) -> Options:
-    """Deviations around the circle, magnified; names: of its curves, in their order."""
-    ink, grid = inks(view)
-    palette = PALETTES[view.browser.dark]
-    ring, reach = shown.ring_um, RINGS * shown.ring_um
-    shown_every = f"Math.abs(value) < {reach * 1.01} && Math.round(value / {ring}) % 2 === 0"
-    label = f"value => {shown_every} ? ({number_format(view)})(Number(value.toPrecision(6))) : ''"
-    looks = [
-        (1, {"width": 2, "type": "dashed"}),
-        (3, {"width": 2, "type": "dotted"}),
-        (5, {"width": 3, "type": "solid"}),
-    ]
-    if len(shown.traces) < len(looks):
-        del looks[1]  # of tables alone, beside the lost motion
-    zero = {
-        "name": commanded,
-        "type": "line",
-        "coordinateSystem": "polar",
-        "showSymbol": False,
-        "silent": True,
-        "data": [[0, angle] for angle in range(0, 361, 3)],
-        "lineStyle": {"color": ink, "width": 2},
-        "itemStyle": {"color": ink},
-    }
-    traces = [
-        {
-            "name": name,
-            "type": "line",
-            "coordinateSystem": "polar",
-            "showSymbol": False,
-            "connectNulls": False,
-            "data": [[None, None] if point is None else list(_short([point])[0]) for point in shown.traces[key]],
-            "lineStyle": {"color": palette[colour], **width},
-            "itemStyle": {"color": palette[colour]},
-        }
-        for key, name, (colour, width) in zip(shown.traces, names, looks, strict=False)
-    ]
-    return {
-        "animation": False,
-        "textStyle": {"fontFamily": FONT},
-        "legend": one_line_legend(ink),
-        "polar": {"center": ["50%", "54%"], "radius": "78%"},
-        "angleAxis": angle_axis(ink, grid),
-        "radiusAxis": {
-            "type": "value",
-            "min": -(RINGS + _INSIDE) * ring,
-            "max": reach,
-            "interval": ring,
-            "axisLabel": {"color": ink, "fontSize": 13, "margin": 4, ":formatter": label},
-            "axisTick": {"show": False},
-            "axisLine": {"show": False},
-            "splitLine": {"lineStyle": {"color": grid}},
-        },
-        "series": [zero, *traces],
-    }
 
 
 def angle_axis(ink: str, grid: str) -> Options:
@@ -166,5 +101,6 @@ def angle_axis(ink: str, grid: str) -> Options:
     }
 
 
-def _short(points: Points) -> list[list[float]]:
+def short(points: Points) -> list[list[float]]:
+    """Points as lists of numbers with six digits."""
     return [[float(f"{x:.6g}"), float(f"{y:.6g}")] for x, y in points]

@@ -11,9 +11,9 @@ from pathlib import Path
 
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, InstrumentConfig
-from hil.calibration.in_motion_settings import InMotion
 from hil.machine.axes_wiring import connected_across
 from hil.machine.conditions import Conditions
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.machine import Machine
 from hil.machine.replay import recorded, replayed
 from hil.machine.who_is_there import naming_who_is_there

@@ -10,8 +10,8 @@ from importlib import import_module
 from pathlib import Path
 
 from drivers.errors import InputError
-from hil.calibration.in_motion_settings import InMotion, feeds_of
 from hil.correction import TABLES
+from hil.machine.in_motion_settings import InMotion, feeds_of
 
 READING = "HIL_PASSWORD"
 KEY = "HIL_KEY_PASSWORD"

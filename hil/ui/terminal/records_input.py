@@ -9,11 +9,10 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import read_text
-from hil.diagnosis.stored import measurement_of, pass_number
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
 from hil.effects.user_effects import catalogue_with
-from hil.records.journal import MARKER
+from hil.records.journal import MARKER, measurement_of, pass_number
 from hil.records.rows import Records, concatenate, read_csv
 
 

@@ -1,15 +1,15 @@
-"""Summaries printed by calibrate, verify, demo and close-loop."""
+"""Tables and sentences of figures that several verbs print."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from types import MappingProxyType
+from typing import Any
 
-from hil.figures.verdict import FITTED_PLUS_MINUS, Accuracy
-from hil.ui.terminal.output import number, print_table
-
-if TYPE_CHECKING:  # its import takes longer than the start of a calibration
-    from hil.diagnosis import Diagnosis
+from hil.figures.iso230 import FIGURES, MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES, Iso230, symbol
+from hil.figures.iso230_4 import STANDARD, CircularPath
+from hil.figures.verdict import Accuracy
+from hil.ui.terminal.output import Align, number, print_table
 
 
 def print_accuracy(found: Accuracy, title: str = "verified") -> None:
@@ -19,17 +19,67 @@ def print_accuracy(found: Accuracy, title: str = "verified") -> None:
         print(f"  {sentence}")
 
 
-def print_findings(diagnosis: Diagnosis) -> None:
-    """Print the findings of a diagnosis, one line each."""
-    for finding in diagnosis.findings:
-        verdict = f"confidence {finding.confidence:.2f}, {finding.action.value}"
-        print(f"found: {finding.effect} ({verdict}). {finding.explanation}")
-    if any("±" in finding.explanation for finding in diagnosis.findings):
-        print(f"  {FITTED_PLUS_MINUS}")
-    if not diagnosis.findings:
-        print("found: nothing that the data support")
-    if diagnosis.unexplained:
-        print(f"unexplained: {diagnosis.unexplained_sentence}")
+def print_figures(figures: Iso230, expanded_um: Mapping[str, float] = MappingProxyType({})) -> None:
+    """Prints the figures of the axis and of each target, µm, on standard output. expanded_um: uncertainty (k = 2) of each, {} for
+    none."""
+    rows = [
+        [symbol(name), number(value), *([number(expanded_um.get(name))] if expanded_um else []), FIGURES[name]]
+        for name, value in figures.figures().items()
+    ]
+    print_table(
+        ["figure", "µm", *(["U, k = 2, µm"] if expanded_um else []), ("meaning", "left")],
+        rows,
+        title=f"ISO 230-2:2014 — {figures.m} targets, {figures.n} runs per direction",
+    )
+    columns = {
+        "x̄↑": figures.mean_up,
+        "x̄↓": figures.mean_down,
+        "s↑": figures.s_up,
+        "s↓": figures.s_down,
+        "B": figures.B_i,
+        "R↑": figures.R_up_i,
+        "R↓": figures.R_down_i,
+        "R": figures.R_i,
+    }
+    given = {name: values for name, values in columns.items() if values is not None}
+    print_table(
+        [("target mm", "right"), *given],
+        (
+            [f"{target:.4f}", *(number(float(values[i])) for values in given.values())]
+            for i, target in enumerate(figures.target_mm)
+        ),
+        title="per target, µm",
+    )
+    if figures.B is not None:
+        print(f"{MEASURED_AT_A_REVERSAL['B']} ({OTHER_REVERSAL_FIGURES})")
+    for note in figures.notes:
+        print(f"note: {note}")
+
+
+def print_paths(paths: Mapping[str, CircularPath]) -> None:
+    """Prints the figures of paths by name."""
+    rows = [
+        [
+            name,
+            one.name,
+            number(one.G_um),
+            number(one.F_max_um),
+            number(one.F_min_um),
+            f"{one.start_deg:.1f}",
+            f"{one.end_deg:.1f}",
+        ]
+        for name, one in paths.items()
+    ]
+    heads: list[str | tuple[str, Align]] = [
+        "path",
+        ("sense", "left"),
+        "G, µm",
+        "Fmax, µm",
+        "Fmin, µm",
+        "start, °",
+        "end, °",
+    ]
+    print_table(heads, rows, title=f"{STANDARD}, about the least-squares circle")
 
 
 def print_stages(stages: Mapping[str, Mapping[str, Any]], title: str | None = None) -> None:

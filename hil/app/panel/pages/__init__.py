@@ -1,13 +1,14 @@
 """The pages, in the order of the navigation. One file each; a new one is added here."""
 
 from hil.app.panel.bar import Page
-from hil.app.panel.pages import axes, overview, reports
+from hil.app.panel.pages import axes, overview
 from hil.backlash import page as backlash
 from hil.calibration import page as calibrate
 from hil.diagnosis import page as diagnosis
 from hil.lost_motion import page as lost_motion
 from hil.parameters import page as parameters
 from hil.probe import page as probe
+from hil.report import page as reports
 
 PAGES = (
     Page("overview", overview.draw),

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion_settings import InMotion
 from hil.desk.plan import Move, Plan, Write, measuring_plan
+from hil.machine.in_motion_settings import InMotion
 from hil.machine.measure import bidirectional_steps
 from hil.records.journal import Campaign
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from hil.desk.figures import error_figures
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
 from hil.diagnosis.loop.procedure import measured_no_worse
-from hil.diagnosis.stored import STORED, measurement_of, read_stored
+from hil.diagnosis.stored import STORED, read_stored
+from hil.figures.error_figures import error_figures
 from hil.figures.history import Pass, read_campaign
-from hil.records.journal import FINISHED
+from hil.records.journal import FINISHED, measurement_of
 from hil.records.rows import Records, concatenate
 from hil.ui.report.views import object_of, value_of
 

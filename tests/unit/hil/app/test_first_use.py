@@ -13,8 +13,8 @@ from support.bench_axis import lay_out
 from drivers.errors import InputError
 from hil.app import main as terminal
 from hil.axis.axis_file import load_axis
+from hil.axis.identity import identity
 from hil.correction.sealed import Binding, WrongKeyPasswordError, WrongPasswordError
-from hil.desk.identity import identity
 from hil.doctor.procedure import Check
 from hil.ui.terminal.axis_options import tell_bench
 from hil.ui.terminal.options import KEY, READING

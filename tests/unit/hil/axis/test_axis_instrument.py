@@ -14,8 +14,8 @@ from drivers.instruments.umd_laser import BesideOptics, UmdLaser
 from hil.app.main import main
 from hil.app.sim import instrument_text
 from hil.axis.axis_file import AxisConfig, load_axis
+from hil.axis.identity import instrument_identity
 from hil.axis.instrument import KINDS
-from hil.desk.identity import instrument_identity
 from hil.machine.instruments import build_instrument
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GAUGE_KINDS

@@ -1,14 +1,18 @@
 """Work in a process of its own: its answer, its errors, its end, and one at a time."""
 
+import inspect
 import json
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from hil.desk.error_log import ErrorLog
-from hil.desk.worker_process import Computed, ComputingError, WorkerProcess
+from hil.desk.worker_process import Computed, ComputingError, Passes, Work, WorkerProcess
+from hil.diagnosis.page import DIAGNOSE
+from hil.report.job import COMPARE, HISTORY, REPORT
 
 ECHO = "import json, sys; json.dump({'made': [json.load(sys.stdin)['work'], sys.argv[1]]}, sys.stdout)"
 REFUSES = "import json, sys; sys.stdin.read(); print(json.dumps({'error': 'holds no rows'})); sys.exit(1)"
@@ -80,8 +84,12 @@ def test_one_at_a_time_and_it_can_be_given_up() -> None:
 
 
 def test_the_request_is_plain_json() -> None:
-    from hil.app.worker_process import request  # noqa: PLC0415
-    from hil.report.job import Wanted  # noqa: PLC0415
+    asked = Work("report", "a.b:c").request([Passes("before", (Path("a.csv"), Path("b.csv")))])
+    assert json.loads(json.dumps(asked)) == asked
+    assert asked == {"work": "report", "function": "a.b:c", "campaigns": [["before", ["a.csv", "b.csv"]]]}
 
-    asked = request("report", [Wanted("before", (Path("a.csv"), Path("b.csv")))])
-    assert json.loads(json.dumps(asked)) == {"work": "report", "campaigns": [["before", ["a.csv", "b.csv"]]]}
+
+@pytest.mark.parametrize("work", [DIAGNOSE, REPORT, COMPARE, HISTORY], ids=lambda work: work.name)
+def test_the_function_of_each_computation_is_there(work: Work) -> None:
+    module, _, name = work.function.partition(":")
+    assert list(inspect.signature(getattr(import_module(module), name)).parameters)[:1] == ["axis"]

@@ -12,7 +12,7 @@ from support.toy_axis import ToyMachine, toy_session
 from drivers.errors import InputError, MeasurementLostError
 from drivers.instrument import Environment
 from hil.axis.axis_file import load_axis
-from hil.desk.identity import instrument_identity
+from hil.axis.identity import instrument_identity
 from hil.doctor.command import beam_check
 from hil.figures.alignment import Alignment
 from hil.figures.material import Material

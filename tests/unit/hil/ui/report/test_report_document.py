@@ -139,7 +139,7 @@ FOUND = {
 
 @pytest.fixture(scope="module")
 def whole() -> str:
-    return render_html(data(diagnosis=FOUND, diagnosed=NamedCampaign("after", campaign_rows(2, 0.1))))
+    return render_html(data(causes=diagnosis_part.section(FOUND, NamedCampaign("after", campaign_rows(2, 0.1)))))
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_the_same_data_give_the_same_bytes_in_another_process() -> None:
     code = (
         "import hashlib, importlib.util as u\n"
         f"s = u.spec_from_file_location('again', {str(here)!r}); m = u.module_from_spec(s); s.loader.exec_module(m)\n"
-        "d = m.data(diagnosis=m.FOUND, diagnosed=m.NamedCampaign('after', m.campaign_rows(2, 0.1)))\n"
+        "d = m.data(causes=m.diagnosis_part.section(m.FOUND, m.NamedCampaign('after', m.campaign_rows(2, 0.1))))\n"
         "print(hashlib.sha256(m.render_html(d).encode()).hexdigest())"
     )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(here.parents[5]), str(here.parents[4])))}
@@ -266,8 +266,10 @@ def test_hostile_text_stays_text() -> None:
         tables=(TableInForce(bad, bad, bad),),
         notes=(bad,),
         created=bad,
-        diagnosis={"findings": [finding | {"rivals": [{"effect": bad, "separate_by": bad}]}], "notes": [bad]},
-        diagnosed=NamedCampaign(bad, records),
+        causes=diagnosis_part.section(
+            {"findings": [finding | {"rivals": [{"effect": bad, "separate_by": bad}]}], "notes": [bad]},
+            NamedCampaign(bad, records),
+        ),
     )
     page = Page(render_html(whole))
     assert not {"img", "b"} & set(page.tags)
@@ -350,7 +352,9 @@ def test_what_is_no_text_becomes_a_mark() -> None:
     bad = "\ud800\x00\x1b"
     campaigns = (NamedCampaign(bad, campaign_rows()), NamedCampaign("b", campaign_rows()))
     finding = own_plot(column=bad, unit=bad) | {"effect": bad}
-    html = render_html(data(campaigns=campaigns, notes=(bad,), diagnosis={"findings": [finding]}))
+    html = render_html(
+        data(campaigns=campaigns, notes=(bad,), causes=diagnosis_part.section({"findings": [finding]}, None))
+    )
     assert html.encode("utf-8").count("\ufffd".encode()) > 9
 
 
@@ -499,7 +503,7 @@ def test_environment_states_ranges_and_skips_what_was_never_measured() -> None:
 
 
 def test_drawings_as_files() -> None:
-    whole = data(diagnosis=FOUND, diagnosed=NamedCampaign("after", campaign_rows(2, 0.1)))
+    whole = data(causes=diagnosis_part.section(FOUND, NamedCampaign("after", campaign_rows(2, 0.1))))
     drawings = render_files(whole)
     assert list(drawings) == [
         "before-after.png",

@@ -13,7 +13,6 @@ from support.bench_axis import lay_out
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.explore import Exploration
-from hil.calibration.in_motion_settings import InMotion, feeds_of
 from hil.calibration.job import with_signs
 from hil.calibration.page_data import calibration_screen, latest
 from hil.correction.manual import read_signs
@@ -21,9 +20,12 @@ from hil.correction.tables import Band, SingleTable
 from hil.diagnosis.loop.jobs.plan import unfinished_loop
 from hil.diagnosis.loop.jobs.stored import StoredLoop, stored_loop
 from hil.diagnosis.page_data import diagnosis_screen
-from hil.diagnosis.stored import measurement_of, read_stored, sources
+from hil.diagnosis.stored import read_stored, sources, stored_beside
+from hil.machine.in_motion_settings import InMotion, feeds_of
+from hil.records.journal import measurement_of
 from hil.records.rows import Records, to_csv
-from hil.ui.screen.campaigns import axis_history, measurements, reports
+from hil.report.page_data import axis_history, reports
+from hil.ui.screen.campaigns import measurements
 
 ROWS = Iterable[tuple[int, int, float, float]]
 
@@ -173,7 +175,7 @@ def test_measurements_the_newest_first(tmp_path: Path) -> None:
         len(FIRST) + len(BEFORE),
         ["before-1.csv", "before-2.csv"],
     )
-    assert first.diagnosis == tmp_path / "close-loop-001" / "before.diagnosis.json"
+    assert stored_beside(first.paths) == tmp_path / "close-loop-001" / "before.diagnosis.json"
     assert (second.key, second.kind, second.state) == ("verify-001/verify", "verify", "open")
     assert second.figures_um["B"] == pytest.approx(2.5)
 

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
+from fastapi import FastAPI
+from fastapi.responses import FileResponse, PlainTextResponse, Response
 from nicegui import ui
 
-from hil.app import worker_process
-from hil.app.panel.report_files import address
 from hil.axis.axis_file import AxisConfig
-from hil.report.job import HISTORY_FIGURES, Wanted
-from hil.ui.screen.campaigns import AxisHistory, Measurement, ReportFile, ReportsScreen, reports_screen
+from hil.desk.desk import Desk
+from hil.desk.worker_process import Passes, Work
+from hil.report.job import COMPARE, FOLDER, HISTORY, HISTORY_FIGURES, NAME, REPORT
+from hil.report.page_data import AxisHistory, ReportFile, ReportsScreen, reports_screen
+from hil.ui.screen.campaigns import Measurement
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Reading, measurement_words
 from hil.ui.screen.view import View
@@ -20,6 +23,7 @@ from hil.ui.screen.view import View
 Refresh = Callable[[], None]
 Kept = Reading[ReportsScreen]
 MARKS = ("circle", "rect", "diamond")
+OURS = (REPORT.name, COMPARE.name, HISTORY.name)
 COLUMNS = ("begun", "what", "rows", *HISTORY_FIGURES, "state")
 
 
@@ -98,19 +102,19 @@ def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
     """Buttons: report of the chosen measurements, comparison of two, history."""
     t, desk = view.t, view.desk
 
-    def chosen() -> list[Wanted]:
+    def chosen() -> list[Passes]:
         """The chosen measurements in the order of time."""
         keys = {row["key"] for row in table.selected}
         found = () if kept.value is None else kept.value.measurements
-        return [Wanted(one.key, one.paths) for one in reversed(found) if one.key in keys]
+        return [Passes(one.key, one.paths) for one in reversed(found) if one.key in keys]
 
-    def make(work: str) -> None:
-        desk.compute(view.token, worker_process.request(work, [] if work == worker_process.HISTORY else chosen()))
+    def make(work: Work) -> None:
+        desk.compute(view.token, work, [] if work is HISTORY else chosen())
 
     with ui.row().classes("items-center"):
-        report = view.button("reports.report", partial(make, worker_process.REPORT))
-        compare = view.button("reports.compare", partial(make, worker_process.COMPARE))
-        history = view.button("reports.make_history", partial(make, worker_process.HISTORY))
+        report = view.button("reports.report", partial(make, REPORT))
+        compare = view.button("reports.compare", partial(make, COMPARE))
+        history = view.button("reports.make_history", partial(make, HISTORY))
         cancel = view.button("reports.cancel", lambda: desk.cancel_computing(view.token)).props("outline")
         status = view.named(ui.label().classes("hil-name"), "reports.status")
     messages = view.named(ui.label().classes("hil-note bad"), "reports.messages")
@@ -124,11 +128,11 @@ def _draw_buttons(view: View, kept: Kept, table: ui.table) -> Refresh:
         there = kept.value is not None and kept.value.history is not None
         history.allow(why or ("" if there else t("why.nothing_measured")))
         cancel.set_visibility(now.running and view.in_control)
-        made = t("reports.made", files=", ".join(now.made)) if now.made and now.work != worker_process.DIAGNOSE else ""
+        made = t("reports.made", files=", ".join(now.made)) if now.made and now.work in OURS else ""
         status.set_text(
             t("diagnosis.computing", seconds=t.number(now.seconds, 0)) if now.running else made or t("reports.choose")
         )
-        failed = bool(now.error) and now.work != worker_process.DIAGNOSE
+        failed = bool(now.error) and now.work in OURS
         messages.set_text(t.said(now.error) if failed else "")
         messages.set_visibility(failed)
 
@@ -212,3 +216,24 @@ def _trend(view: View, history: AxisHistory, name: str) -> str:
         return t("reports.no_trend", figure=name)
     slope, std = t.number(found.slope_um, 2, sign=True), t.number(2.0 * found.std_um, 2)
     return t("reports.trend", figure=name, slope=slope, spread=std)
+
+
+ALONE = {"Content-Security-Policy": "sandbox allow-scripts allow-modals", "X-Content-Type-Options": "nosniff"}
+"""Headers that keep a report's page from the screen's cookies and from requests to the server."""
+
+
+def serve_reports(app: FastAPI, desks: Mapping[str, Desk]) -> None:
+    """Add the addresses /axis/<axis>/reports/<name>; with ?save the file is downloaded."""
+
+    @app.get("/axis/{axis}/reports/{name}")
+    async def report(axis: str, name: str, save: str | None = None) -> Response:
+        path = desks[axis].axis.store.directory / FOLDER / name if axis in desks and NAME.fullmatch(name) else None
+        if path is None or not path.is_file():
+            return PlainTextResponse("there is no such report", status_code=404)
+        kind = "attachment" if save is not None else "inline"
+        return FileResponse(path, headers=ALONE, filename=f"{axis}-{name}", content_disposition_type=kind)
+
+
+def address(axis: str, name: str, *, save: bool = False) -> str:
+    """Address of a report's file. save: for download."""
+    return f"/axis/{axis}/reports/{name}" + ("?save" if save else "")
