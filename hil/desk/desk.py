@@ -32,11 +32,10 @@ from hil.desk.job import Job
 from hil.desk.live import Live, Silence, TracePoint
 from hil.desk.plan import Plan
 from hil.desk.progress import Graph, JobLog, Phase, Progress
-from hil.desk.roles import LockedError, Rights
+from hil.desk.roles import LockedError, OpenedStore, Rights
 from hil.desk.standstill import CameToRest
 from hil.desk.unfinished import UnfinishedWork, discard
 from hil.desk.worker_process import Computed, Passes, Work, WorkerProcess
-from hil.probe.machine_file import ProbeMachineConfig
 
 _LOG = logging.getLogger("hil.panel")
 
@@ -179,7 +178,7 @@ class Desk:
         and StateError while an axis is not connected.
         """
         self.control.require(token)
-        self.rights.require(locked=job.plan.locked, of_probe=job.plan.of_probe)
+        self.rights.require(locked=job.plan.locked, store=job.plan.store)
         log = JobLog(next(self._numbers), job.kind, job.plan, changes=tuple(changes), on_end=self._ended)
         log.who = self._holder_name()
         with ExitStack() as undo:
@@ -253,12 +252,10 @@ class Desk:
         self._opened(lambda: self.rights.read_tables(password))
         self._forget_unless_held(token)
 
-    def open_probe(
-        self, token: str | None, config: ProbeMachineConfig, reading_password: str, key_password: str = ""
-    ) -> None:
-        """Open the probe's sealed run-out, until control changes. Raises NotInControlError, and as `Rights`."""
+    def open_other(self, token: str | None, name: str, opening: Callable[[], OpenedStore]) -> None:
+        """Open a sealed store beside the axis's, until control changes. Raises NotInControlError, and as `Rights`."""
         self.control.require(token)
-        self._opened(lambda: self.rights.open_probe(config, reading_password, key_password))
+        self._opened(lambda: self.rights.open_other(name, opening))
         self._forget_unless_held(token)
 
     def become_operator(self, token: str | None) -> None:

@@ -51,7 +51,7 @@ class Plan:
     measured: positions that the interrupted campaign has already, where it is gone on with
     positions: number of captures (of a probe: contacts), each with `at_rest_s` seconds at rest
     overtravel_mm: largest travel of a probe beyond each contact
-    locked: the job needs the builder's role; of_probe: with the key of the probe's run-out
+    locked: the job needs the builder's role; store: name of the opened store whose builder's key that is, "" for the axis's
     new_zero: the axis's zero is taken anew; instrument_zeroed: the instrument was zeroed since the last measurement
     """
 
@@ -65,7 +65,7 @@ class Plan:
     at_rest_s: float = 0.0
     locked: bool = False
     overtravel_mm: float | None = None
-    of_probe: bool = False
+    store: str = ""
     new_zero: bool = False
     instrument_zeroed: bool = False
     travel_s: float = 0.0

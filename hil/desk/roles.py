@@ -7,15 +7,14 @@ only, while the same person holds control.
 from __future__ import annotations
 
 import threading
+from collections.abc import Callable
 from enum import Enum
+from typing import Protocol
 
 from drivers.errors import InputError, LocalError
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.correction.sealed import load_private_key
 from hil.correction.store import SealedStore
-from hil.probe.job import opened_store
-from hil.probe.machine_file import ProbeMachineConfig
-from hil.probe.store import RunOutStore
 
 
 class Role(Enum):
@@ -29,6 +28,14 @@ class LockedError(LocalError):
     """The action needs the builder's role."""
 
 
+class OpenedStore(Protocol):
+    """A sealed store beside the axis's tables, opened for reading or with its own builder's key."""
+
+    @property
+    def by_builder(self) -> bool:
+        """Whether it was opened with its builder's key."""
+
+
 class Rights:
     """Role and opened stores of the person in control, for any thread."""
 
@@ -37,7 +44,7 @@ class Rights:
         self._lock = threading.Lock()
         self._role = Role.OPERATOR
         self._store: SealedStore | None = None
-        self._probe_store: RunOutStore | None = None
+        self._others: dict[str, OpenedStore] = {}
 
     @property
     def role(self) -> Role:
@@ -49,21 +56,15 @@ class Rights:
         """The axis's opened store: for reading, or with the builder's key for writing; None if not opened."""
         return self._store
 
-    @property
-    def probe_store(self) -> RunOutStore | None:
-        """The opened run-out of the machine's probe: for reading, or with its builder's key; None if not opened."""
-        return self._probe_store
+    def other(self, name: str) -> OpenedStore | None:
+        """The opened store of this name; None if not opened."""
+        return self._others.get(name)
 
-    def open_probe(self, config: ProbeMachineConfig, reading_password: str, key_password: str = "") -> None:
-        """Open the probe's run-out; key_password: of its builder's key, needed for changes.
-
-        Raises WrongPasswordError, and InputError for a missing or damaged file.
-        """
-        store = opened_store(config, lambda: reading_password, (lambda: key_password) if key_password else None)
-        if store.path.exists():
-            store.load()
+    def open_other(self, name: str, opening: Callable[[], OpenedStore]) -> None:
+        """Open a store beside the axis's. Raises what `opening` raises, as WrongPasswordError."""
+        store = opening()
         with self._lock:
-            self._probe_store = store
+            self._others[name] = store
 
     def read_tables(self, password: str) -> None:
         """Open the tables for reading. Raises WrongPasswordError, and InputError for missing or damaged tables."""
@@ -95,17 +96,18 @@ class Rights:
     def forget(self) -> None:
         """Return to the operator's role, with no store opened."""
         with self._lock:
-            self._role, self._store, self._probe_store = Role.OPERATOR, None, None
+            self._role, self._store = Role.OPERATOR, None
+            self._others.clear()
 
-    def require(self, *, locked: bool, of_probe: bool = False) -> None:
+    def require(self, *, locked: bool, store: str = "") -> None:
         """Raises LockedError for a locked change without the builder's role.
 
-        of_probe: the change concerns the probe's run-out, which has a builder's key of its own.
+        store: name of the other store that is changed, which has a builder's key of its own; "" for the axis's
         """
-        opened = self._probe_store
         is_builder = self._role is Role.BUILDER
-        if of_probe:
-            is_builder = opened is not None and opened.sealing is not None and opened.sealing.builder_key is not None
+        if store:
+            opened = self._others.get(store)
+            is_builder = opened is not None and opened.by_builder
         if locked and not is_builder:
             raise LockedError(
                 "this changes what is locked: it needs the builder, with the password of the builder's key"

@@ -43,6 +43,10 @@ OnConnected = Callable[[ProbeSession], None]
 """Is called with the session as soon as it is connected."""
 
 
+RUN_OUT = "run-out"
+"""Name of the opened store of the run-out at a desk."""
+
+
 def opened_store(config: ProbeMachineConfig, reading: Ask, key: Ask | None = None) -> RunOutStore:
     """The store of the machine's run-out. A sealed one asks for its passwords, that of the builder's key first.
 
@@ -288,7 +292,7 @@ def _plan(
         positions=contacts,
         overtravel_mm=overtravel_mm,
         locked=locked,
-        of_probe=locked,
+        store=RUN_OUT if locked else "",
     )
 
 

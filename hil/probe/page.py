@@ -11,7 +11,7 @@ from nicegui import ui
 
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
-from hil.probe.machine_file import MODES
+from hil.probe.machine_file import MODES, ProbeMachineConfig
 from hil.probe.page_data import (
     ProbeRecord,
     angle_deg,
@@ -19,10 +19,10 @@ from hil.probe.page_data import (
     contacts,
     last_at,
     measured_at,
+    open_store_at,
     probe_record,
     std_um,
     worst_closure_um,
-    writable,
 )
 from hil.probe.pages.at_probe import ProbePage
 from hil.probe.pages.correct import draw_corrections
@@ -38,12 +38,12 @@ Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]
 
 
-def draw(view: View) -> None:
-    """Draws the page."""
-    if view.probe is None:
+def draw(view: View, machine: ProbeMachineConfig | None) -> None:
+    """Draws the page. machine: with the touch probe, None for none."""
+    if machine is None:
         view.named(ui.label(view.t("probe.none")).classes("hil-note"), "probe.none")
         return
-    at = ProbePage(view, view.probe)
+    at = ProbePage(view, machine)
     messages = view.messages("probe.messages")
     kept: Kept = Reading(view, lambda: probe_record(at.config, at.store))
     with ui.element("div").classes("hil-job-page"):
@@ -93,7 +93,7 @@ def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
             lambda: not view.in_control or not at.not_controlled,
             figures=lambda: {"axes": ", ".join(desk.name for desk in at.not_controlled)},
         ),
-        Check("run_out_store", lambda: not view.in_control or writable(at.store)),
+        Check("run_out_store", lambda: not view.in_control or (at.store is not None and at.store.writable)),
     )
     ready = draw_ready(view, "probe", *missing)
     with ui.element("div").classes("hil-buttons"):
@@ -104,7 +104,7 @@ def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
     def refresh() -> None:
         ready()
         store = at.store
-        start_button.allow(at.why_not() or ("" if writable(store) else t("why.run_out_store")))
+        start_button.allow(at.why_not() or ("" if store is not None and store.writable else t("why.run_out_store")))
         opening.allow("" if view.in_control else t("why.control"))
 
     return mode, refresh
@@ -117,7 +117,7 @@ async def _ask_passwords(at: ProbePage) -> None:
     given = await view.ask_passwords(*fields, yes="probe.open.yes", go="go.store", why="probe.open_why")
     if given is not None:
         token = view.token
-        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.open_probe(token, at.config, *given)))
+        await view.attempt(lambda: view.in_worker_thread(lambda: open_store_at(view.desk, token, at.config, *given)))
 
 
 # -- M90 -------------------------------------------------------------------------------------------------------------------
@@ -220,7 +220,7 @@ def _draw_in_force(at: ProbePage, kept: Kept) -> Refresh:
 
     def refresh() -> None:
         store = at.store
-        open_to = "not_opened" if store is None else "writable" if writable(store) else "readable"
+        open_to = "not_opened" if store is None else "writable" if store.writable else "readable"
         state.set_text(t(f"probe.stores.{open_to if sealed else 'plain'}"))
         if kept.value is None or not latest.is_new(kept.value):
             return

@@ -75,12 +75,25 @@ def store_at(config: ProbeMachineConfig, desk: Desk) -> RunOutStore | None:
     """The machine's store as far as it is open at a desk; None for a sealed one without its password."""
     if not config.store.sealed:
         return RunOutStore(config.store.directory, config.name)
-    return desk.rights.probe_store
+    opened = desk.rights.other(probe.RUN_OUT)
+    return opened if isinstance(opened, RunOutStore) else None
 
 
-def writable(store: RunOutStore | None) -> bool:
-    """Whether values can be put into force: the store is not sealed, or its builder's key is given."""
-    return store is not None and (store.sealing is None or store.sealing.builder_key is not None)
+def open_store_at(
+    desk: Desk, token: str | None, config: ProbeMachineConfig, reading_password: str, key_password: str = ""
+) -> None:
+    """Open the machine's sealed store at a desk, until control changes. key_password: of its builder's key, needed for changes.
+
+    Raises NotInControlError, WrongPasswordError, and InputError for a missing or damaged file.
+    """
+
+    def opening() -> RunOutStore:
+        store = probe.opened_store(config, lambda: reading_password, (lambda: key_password) if key_password else None)
+        if store.path.exists():
+            store.load()
+        return store
+
+    desk.open_other(token, probe.RUN_OUT, opening)
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,16 @@ class RunOutStore:
         return self.directory / ("runout.json" if self.sealing is None else "runout.sealed")
 
     @property
+    def by_builder(self) -> bool:
+        """Whether it is sealed and its builder's key is given."""
+        return self.sealing is not None and self.sealing.builder_key is not None
+
+    @property
+    def writable(self) -> bool:
+        """Whether values can be put into force: it is not sealed, or its builder's key is given."""
+        return self.sealing is None or self.by_builder
+
+    @property
     def history_path(self) -> Path:
         """File of the history."""
         return self.directory / "history.csv"

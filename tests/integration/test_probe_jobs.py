@@ -31,12 +31,13 @@ from hil.probe.page_data import (
     last_at,
     lent,
     measured_at,
+    open_store_at,
     other_at,
     probe_record,
     store_at,
-    writable,
 )
 from hil.probe.runout import CorrectionCode
+from hil.probe.store import RunOutStore
 from hil.records.files import held
 from hil.ui.screen.texts import Texts
 from sim_backends.plant.touch_probe import Bore, Boss
@@ -285,6 +286,12 @@ def test_an_axis_that_is_not_ours_to_lend_is_refused(tmp_path: Path, until: Unti
 SEALED = f"{SEED}[store]\nsealed = true"
 
 
+def opened(at: AtWork) -> RunOutStore:
+    store = store_at(at.config, at.desk)
+    assert store is not None
+    return store
+
+
 def lay_out_keys(tmp_path: Path) -> None:
     key = new_key()
     save_private_key(tmp_path / "builder.key", key, "builder of the probe", cost=Cost(n=1 << 10, r=8, p=1))
@@ -298,16 +305,16 @@ def test_a_sealed_run_out_is_measured_by_its_builder_only(tmp_path: Path, until:
         token = at.tokens[at.desk]
         assert store_at(at.config, at.desk) is None
         with pytest.raises(WrongPasswordError):
-            at.desk.open_probe(token, at.config, "reading of the probe", "wrong")
+            open_store_at(at.desk, token, at.config, "reading of the probe", "wrong")
         with pytest.raises(NotInControlError):
-            at.desk.open_probe(None, at.config, "reading of the probe", "builder of the probe")
-        at.desk.open_probe(token, at.config, "reading of the probe")
-        assert not writable(store_at(at.config, at.desk))
+            open_store_at(at.desk, None, at.config, "reading of the probe", "builder of the probe")
+        open_store_at(at.desk, token, at.config, "reading of the probe")
+        assert not opened(at).writable
         with pytest.raises(LockedError):
             at.start(at.m90())
         for give_up in (lambda: at.desk.become_operator(token), lambda: at.desk.control.release(token)):
-            at.desk.open_probe(token, at.config, "reading of the probe", "builder of the probe")
-            assert writable(store_at(at.config, at.desk))
+            open_store_at(at.desk, token, at.config, "reading of the probe", "builder of the probe")
+            assert opened(at).writable
             give_up()
             assert store_at(at.config, at.desk) is None
         assert last_at(at.desks) is None
@@ -319,7 +326,7 @@ def test_a_sealed_run_out_is_put_into_force_and_read(tmp_path: Path, until: Unti
     lay_out_keys(tmp_path)
     with at_work(tmp_path, until, more=SEALED) as at:
         token = at.tokens[at.desk]
-        at.desk.open_probe(token, at.config, "reading of the probe", "builder of the probe")
+        open_store_at(at.desk, token, at.config, "reading of the probe", "builder of the probe")
         job = at.m90()
         assert at.run(job).phase is Phase.DONE
         assert at.record().in_force is not None
@@ -331,7 +338,7 @@ def test_a_sealed_run_out_is_put_into_force_and_read(tmp_path: Path, until: Unti
         record = at.record()
         assert (record.in_force, len(record.history)) == (None, 1)
         with pytest.raises(WrongPasswordError):
-            at.desk.open_probe(token, at.config, "not it")
+            open_store_at(at.desk, token, at.config, "not it")
         assert store_at(at.config, at.desk) is None
-        at.desk.open_probe(token, at.config, "reading of the probe")
+        open_store_at(at.desk, token, at.config, "reading of the probe")
         assert at.record().in_force is not None

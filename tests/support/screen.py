@@ -12,7 +12,10 @@ from nicegui.element import Element
 from nicegui.events import UploadEventArguments
 from nicegui.page import page
 
+from hil.app.unfinished import unfinished_work
+from hil.axis.axis_file import DriveAxis
 from hil.desk.desk import Desk
+from hil.desk.unfinished import UnfinishedWork
 from hil.ui.screen.browsers import Browser
 from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import View
@@ -39,11 +42,23 @@ async def brought(upload: ui.upload, file: object) -> None:
 class Screen:
     """A page of a desk that is not connected, drawn inside the loop of a test."""
 
-    def __init__(self, desk: Desk, draw: Draw, language: str = "en", token: str | None = None) -> None:
+    def __init__(
+        self,
+        desk: Desk,
+        draw: Draw,
+        language: str = "en",
+        token: str | None = None,
+        unfinished: Callable[[DriveAxis], tuple[UnfinishedWork, ...]] = unfinished_work,
+    ) -> None:
         self.desk, self.client = desk, Client(page("/"), request=None)
         tokens = {} if token is None else {desk.name: token}
         self.view = View(
-            desk, (desk, Desk(desk.axis)), Texts(language), Browser(1, language, tokens=tokens), self.client
+            desk,
+            (desk, Desk(desk.axis)),
+            Texts(language),
+            Browser(1, language, tokens=tokens),
+            self.client,
+            unfinished,
         )
         with self.client:
             draw(self.view)

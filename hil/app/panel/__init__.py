@@ -22,8 +22,6 @@ How a page is added
    line in `[page]` (title), `[job]` (kind of the job, blanks as _), `[plan.move]` and `[plan.write]` (what the plan moves and writes),
    `[said]` (patterns of its procedures' messages).
 
-Other parts of the server are fields of the view (`view.probe`, the machine with a touch probe).
-
 An element's name (`data-name`) is by default its text's key; tests find elements by it. A refresh is called five times a second and
 sends only what has changed: it reads the desk and sets texts, and never waits. Work of more than a few milliseconds that is no job
 goes through `await view.in_worker_thread(work)`.

@@ -13,7 +13,7 @@ from hil.app.panel.events import draw_events
 from hil.desk.desk import Desk
 from hil.desk.progress import Phase, Progress
 from hil.desk.roles import Role
-from hil.desk.unfinished import UnfinishedWork, unfinished_work
+from hil.desk.unfinished import UnfinishedWork
 from hil.ui.screen.pieces import Reading, ask_for_builder, show_share, take_control
 from hil.ui.screen.texts import LANGUAGES, Texts
 from hil.ui.screen.view import View
@@ -196,7 +196,7 @@ def draw_rail(view: View, here: Page, pages: Sequence[Page]) -> None:
             with ui.link(target=f"/axis/{view.desk.name}/{one.name}").classes("here" if one is here else ""):
                 ui.label(view.t(f"page.{one.name}"))
                 marks[one.name] = ui.label().classes("hil-mark")
-    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, lambda: unfinished_work(view.desk.axis))
+    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, lambda: view.unfinished(view.desk.axis))
     shown: dict[str, str] = {}
 
     def refresh() -> None:

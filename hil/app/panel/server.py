@@ -22,7 +22,8 @@ from nicegui import app as nicegui_app
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Form, Guard
-from hil.app.panel.pages import PAGES
+from hil.app.panel.pages import pages
+from hil.app.unfinished import unfinished_work
 from hil.desk.desk import Desk
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.report.page import serve_reports
@@ -132,7 +133,8 @@ def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig 
     app = FastAPI(openapi_url=None)
     browsers = Browsers(language)
     by_name = {desk.name: desk for desk in desks}
-    home = f"/axis/{desks[0].name}/{PAGES[0].name}"
+    all_pages = pages(probe)
+    home = f"/axis/{desks[0].name}/{all_pages[0].name}"
 
     @app.post("/stop")
     async def stop(request: Request) -> JSONResponse:
@@ -152,10 +154,10 @@ def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig 
     def show(request: Request, client: Client, axis: str, name: str) -> Response | None:
         browser = browsers.of(request.cookies.get(COOKIE, ""))
         t = Texts(browser.language)
-        page = next((one for one in PAGES if one.name == name), None)
+        page = next((one for one in all_pages if one.name == name), None)
         if axis not in by_name or page is None:
             return no_page(t, home)
-        draw_page(View(by_name[axis], desks, t, browser, client, probe), page, PAGES)
+        draw_page(View(by_name[axis], desks, t, browser, client, unfinished_work), page, all_pages)
         return None
 
     async def not_found(request: Request, _error: Exception) -> Response:

@@ -8,8 +8,7 @@ from functools import partial
 
 from nicegui import ui
 
-from hil.desk.desk import Desk
-from hil.desk.unfinished import UnfinishedWork, unfinished_work
+from hil.desk.unfinished import UnfinishedWork
 from hil.ui.screen.pieces import Reading
 from hil.ui.screen.view import Button, View
 
@@ -30,7 +29,7 @@ def draw_unfinished(view: View, page: str, go_on: Mapping[str, GoOn] | None = No
     """
     t = view.t
     card = view.named(ui.element("section").classes("hil-card hil-left"), f"{page}.left_over")
-    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, partial(_interrupted, view.desk))
+    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, partial(_interrupted, view))
     shown: list[tuple[UnfinishedWork, ...]] = [()]
     buttons: list[tuple[Button, Callable[[], str]]] = []
     card.set_visibility(False)
@@ -82,7 +81,7 @@ def _words(view: View, work: UnfinishedWork) -> str:
     return view.t(f"overview.left.{work.kind}", place=work.place, since=since)
 
 
-def _interrupted(desk: Desk) -> tuple[UnfinishedWork, ...]:
+def _interrupted(view: View) -> tuple[UnfinishedWork, ...]:
     """Interrupted work; none while a job runs, which may be resuming it."""
-    job = desk.job()
-    return () if job is not None and job.running else unfinished_work(desk.axis)
+    job = view.desk.job()
+    return () if job is not None and job.running else view.unfinished(view.desk.axis)

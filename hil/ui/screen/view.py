@@ -15,6 +15,7 @@ from nicegui import Client, run, ui
 from nicegui.element import Element
 
 from drivers.errors import InputError
+from hil.axis.axis_file import DriveAxis
 from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
 from hil.desk.error_log import one_line
@@ -22,7 +23,7 @@ from hil.desk.job import Job
 from hil.desk.plan import Plan
 from hil.desk.progress import Progress
 from hil.desk.roles import Role
-from hil.probe.machine_file import ProbeMachineConfig
+from hil.desk.unfinished import UnfinishedWork
 from hil.ui.screen.browsers import Browser
 from hil.ui.screen.texts import Texts
 
@@ -59,15 +60,15 @@ class Button(ui.button):
 
 @dataclass(frozen=True)
 class View:
-    """One page in one browser. t: the texts in its language; desks: of all axes of the server; probe: the machine with a touch probe,
-    None for none."""
+    """One page in one browser. t: the texts in its language; desks: of all axes of the server; unfinished: reads the
+    interrupted work in an axis's folder."""
 
     desk: Desk
     desks: Sequence[Desk]
     t: Texts
     browser: Browser
     client: Client
-    probe: ProbeMachineConfig | None = None
+    unfinished: Callable[[DriveAxis], tuple[UnfinishedWork, ...]]
 
     # -- who is there --------------------------------------------------------------------------------------------------
     @property

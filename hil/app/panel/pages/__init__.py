@@ -1,5 +1,7 @@
 """The pages, in the order of the navigation. One file each; a new one is added here."""
 
+from functools import partial
+
 from hil.app.panel.bar import Page
 from hil.app.panel.pages import axes, overview
 from hil.backlash import page as backlash
@@ -8,16 +10,20 @@ from hil.diagnosis import page as diagnosis
 from hil.lost_motion import page as lost_motion
 from hil.parameters import page as parameters
 from hil.probe import page as probe
+from hil.probe.machine_file import ProbeMachineConfig
 from hil.report import page as reports
 
-PAGES = (
-    Page("overview", overview.draw),
-    Page("axes", axes.draw, several=True),
-    Page("calibrate", calibrate.draw),
-    Page("backlash", backlash.draw),
-    Page("lost_motion", lost_motion.draw),
-    Page("probe", probe.draw),
-    Page("diagnosis", diagnosis.draw),
-    Page("parameters", parameters.draw),
-    Page("reports", reports.draw),
-)
+
+def pages(probe_machine: ProbeMachineConfig | None) -> tuple[Page, ...]:
+    """All pages. probe_machine: the machine with a touch probe, None for none."""
+    return (
+        Page("overview", overview.draw),
+        Page("axes", axes.draw, several=True),
+        Page("calibrate", calibrate.draw),
+        Page("backlash", backlash.draw),
+        Page("lost_motion", lost_motion.draw),
+        Page("probe", partial(probe.draw, machine=probe_machine)),
+        Page("diagnosis", diagnosis.draw),
+        Page("parameters", parameters.draw),
+        Page("reports", reports.draw),
+    )

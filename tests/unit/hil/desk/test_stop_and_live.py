@@ -2,25 +2,20 @@
 
 import threading
 from dataclasses import replace
-from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import pytest
-from support.bench_axis import lay_out
 
 from drivers.clock import NS_PER_S, WallClock
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import InputError
 from drivers.instrument import Reading, ReadingStatus
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
-from hil.axis.axis_file import load_axis
 from hil.desk.axis_thread import limits_of
 from hil.desk.live import Board, Live, SignalLimits, of_sample
 from hil.desk.standstill import CameToRest, Standstill
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
-from hil.desk.unfinished import UnfinishedWork, unfinished_work
-from hil.records.journal import Campaign
 from sim_backends.clock import BEAT_NS, SimClock
 
 
@@ -216,17 +211,3 @@ def test_limits_are_those_that_the_drive_tells(
 ) -> None:
     drive = SimpleNamespace(parameters=Told(**told), scaling=SimpleNamespace(counts_per_load_mm=-100_000))
     assert limits_of(cast(ServoDrive, drive)) == SignalLimits(torque_percent, following_error_um)
-
-
-# -- left over -------------------------------------------------------------------------------------------------------------
-def test_an_interrupted_calibration_is_found_until_it_is_finished(tmp_path: Path) -> None:
-    axis = load_axis(lay_out(tmp_path))
-    assert unfinished_work(axis) == ()
-    campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False)
-    assert unfinished_work(axis) == ()  # nothing was measured
-    with campaign.rows("measure", ["run", "direction", "target_mm", "measured_mm"]):
-        pass
-    assert unfinished_work(axis) == (UnfinishedWork("calibrate", "calibrate", "calibrate-001"),)
-    campaign.finish()
-    (axis.store.directory / "backlash-before.json").write_text("{}")
-    assert unfinished_work(axis) == (UnfinishedWork("settings", "backlash", "X-campaign"),)

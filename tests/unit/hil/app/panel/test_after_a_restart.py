@@ -15,6 +15,7 @@ from support.screen import Draw, Screen, inside
 
 from drivers.errors import InputError
 from hil.app.panel.pages import overview
+from hil.app.unfinished import unfinished_work
 from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
 from hil.backlash import job, page
 from hil.backlash.settings import NOTE
@@ -23,7 +24,6 @@ from hil.calibration.job import calibration_plan, verification_plan
 from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
 from hil.desk.progress import Phase
-from hil.desk.unfinished import unfinished_work
 from hil.lost_motion import page as lost_motion
 from hil.lost_motion.job import measuring_plan
 from hil.records.journal import Campaign

@@ -12,12 +12,12 @@ from support.bench_axis import lay_out
 from support.screen import Screen, inside, is_visible
 
 from hil.app.panel.pages import overview
+from hil.app.unfinished import unfinished_work
 from hil.axis.axis_file import DriveAxis, load_axis
 from hil.desk.desk import Desk
 from hil.desk.job import Job, Workplace
 from hil.desk.plan import Plan
 from hil.lost_motion import page as lost_motion
-from hil.ui.screen import unfinished
 
 Until = Callable[[Callable[[], bool], str], None]
 Seen = TypeVar("Seen")
@@ -65,23 +65,27 @@ def test_the_instruments_own_zero_is_not_shown_as_the_position_of_the_load(desk:
     assert curve == pytest.approx([live.position_load_mm] * len(curve), abs=0.1)
 
 
-@pytest.mark.parametrize(("of", "reads"), [(unfinished, "unfinished_work"), (lost_motion, "kept_lost_motion")])
+@pytest.mark.parametrize("reads", ["unfinished_work", "kept_lost_motion"])
 def test_the_folder_is_read_beside_the_loop_and_after_a_job(
-    of: Any, reads: str, desk: Desk, until: Until, monkeypatch: pytest.MonkeyPatch
+    reads: str, desk: Desk, until: Until, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     threads: list[int] = []
     counts: list[int] = []
-    read = getattr(of, reads)
 
-    def seen(axis: DriveAxis) -> object:
-        threads.append(threading.get_ident())
-        return read(axis)
+    def noted(read: Callable[[Any], Seen]) -> Callable[[DriveAxis], Seen]:
+        def seen(axis: DriveAxis) -> Seen:
+            threads.append(threading.get_ident())
+            return read(axis)
 
-    monkeypatch.setattr(of, reads, seen)
+        return seen
+
+    unfinished = noted(unfinished_work) if reads == "unfinished_work" else unfinished_work
+    if reads == "kept_lost_motion":
+        monkeypatch.setattr(lost_motion, reads, noted(getattr(lost_motion, reads)))
 
     async def work() -> None:
         token = desk.control.take("test")
-        screen = Screen(desk, lost_motion.draw, token=token)
+        screen = Screen(desk, lost_motion.draw, token=token, unfinished=unfinished)
         for _ in range(2):
             for _ in range(5):
                 await screen.refreshes()

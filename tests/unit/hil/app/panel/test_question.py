@@ -41,7 +41,7 @@ def drawn(desk: Desks, language: str, token: str = MINE) -> dict[str, Any]:
     client = Client(page("/"), request=None)
     browser = Browser(1, language, tokens={"X": token})
     with client:
-        draw_question(View(cast(Desk, desk), (), Texts(language), browser, client))
+        draw_question(View(cast(Desk, desk), (), Texts(language), browser, client, lambda _axis: ()))
     named = {str(one.props.get("data-name")): one for one in client.elements.values()}
     around = named["ask.yes"].parent_slot
     return named | {"buttons": None if around is None else around.parent}

@@ -15,7 +15,7 @@ from support.bench_axis import PASSWORDS, lay_out, write_keys
 from support.screen import Screen, begun_by, inside, is_visible
 
 from hil.app.panel.bar import draw_bar
-from hil.app.panel.pages import PAGES, overview
+from hil.app.panel.pages import overview, pages
 from hil.axis.axis_file import load_axis, load_drive_axis
 from hil.backlash import page as backlash
 from hil.calibration import page as calibrate
@@ -74,7 +74,7 @@ def running(
         until(lambda: not desk.job().running, "the job is over")  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if not page.several], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [page for page in pages(None) if not page.several], ids=lambda page: page.name)
 def test_nothing_that_needs_control_is_lit_without_it_and_each_says_why(page: object, desk: Desk) -> None:
     async def work() -> None:
         screen = Screen(desk, page.draw)  # type: ignore[attr-defined]
@@ -177,7 +177,7 @@ def test_a_loop_with_passes_in_motion_has_their_steps_too() -> None:
 def test_the_bar_names_job_and_step(desk: Desk, until: Until) -> None:
     async def work() -> None:
         tell(Event("round-1", "20.000 mm", 3, 16))
-        screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]), "de")
+        screen = Screen(desk, lambda view: draw_bar(view, pages(None)[0]), "de")
         t = Texts("de")
         assert screen.named("header.job").text == t("job.calibrate")
         assert screen.named("header.number").text == t("bar.step", number=2, count=3)
@@ -206,7 +206,7 @@ def test_the_bar_counts_the_tiles_that_the_page_shows(name: str, stages: list[st
     moves = (Move("feeds 20", 0.0, 1.0, 20.0),) if moving else ()
 
     async def work() -> None:
-        screen = Screen(desk, lambda view: (draw_bar(view, PAGES[0]), page(view)))
+        screen = Screen(desk, lambda view: (draw_bar(view, pages(None)[0]), page(view)))
         refresh = screen.quick_timers()
         for stage in stages:
             tell(Event(stage, done=1, total=9))
@@ -231,7 +231,7 @@ def test_a_job_that_did_not_find_what_it_was_for_is_not_done(
         until(lambda: not desk.job().running, "it is over")  # type: ignore[union-attr]
 
         async def work() -> None:
-            screen = Screen(desk, lambda view: draw_bar(view, PAGES[0]))
+            screen = Screen(desk, lambda view: draw_bar(view, pages(None)[0]))
             assert screen.named("header.percent").text == percent
             assert colour in screen.named("header.progress").classes
             ended = "done" if reached else "ended without a result"
