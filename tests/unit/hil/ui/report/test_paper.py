@@ -18,6 +18,7 @@ from matplotlib.patches import Rectangle
 from pypdfium2 import raw
 
 from hil.correction.tables import Band
+from hil.diagnosis.report.diagnosis import section
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.records.rows import Records
 from hil.ui.report.blocks import Bullets, DataTable, Drawing, Facts, Finding, Heading, Table, said
@@ -73,8 +74,7 @@ def whole() -> ReportData:
         {"Axis": "X", "Instrument": "µMD, serial 7"},
         Band(-2.0, 2.0),
         (TableInForce("correction tables", "ef" * 32, "bidirectional, 9 positions"),),
-        FOUND,
-        after,
+        section(FOUND, after),
         ("coolant off",),
         "2024-03-01 10:00 UTC",
         UncertaintyInputs(device_um_per_m=0.8, variation_um=1.0),
