@@ -113,6 +113,18 @@ def quick_scrypt() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True, scope="session")
+def quick_flush(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Nothing waits until a disk has written, some milliseconds twice a row: power does not fail in here.
+
+    Tests of what is flushed when put their own in place; processes that tests start flush, and so do the benchmarks.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if not any(BENCH in item.path.parents for item in request.session.items):
+            patch.setattr(os, "fsync", lambda _handle: None)
+        yield
+
+
 @pytest.fixture
 def until() -> Until:
     """until(condition, what): wait for something real on a wire or in another process; fails after 20 s, naming `what`."""
