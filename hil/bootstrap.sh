@@ -22,8 +22,8 @@ if [ $# -eq 0 ]; then
     exit 2
 fi
 case $1 in
-    hil) level=run extra= ;;
-    *) level=test extra='[test]' ;;
+    hil) level=run extra= compile=--compile ;;
+    *) level=test extra='[test]' compile=--no-compile ;; # of what the tools bring most is never imported
 esac
 # a moved clone counts as changed: a venv holds absolute paths
 key="$(cksum <"$root/pyproject.toml") $root"
@@ -133,7 +133,7 @@ install() {
     : >"$unfinished"
     rm -f "$venv/.hil-run" "$venv/.hil-test"
     say "installing the project and what it needs into .venv (a minute or two, once)"
-    if ! (cd "$root" && "$venv/bin/python" -m pip --quiet --disable-pip-version-check install -e ".$extra"); then
+    if ! (cd "$root" && "$venv/bin/python" -m pip --quiet --disable-pip-version-check install $compile -e ".$extra"); then
         rm -f "$unfinished" # pip left no half package behind: try again from here
         die 'pip could not install the project; its message stands above'
     fi

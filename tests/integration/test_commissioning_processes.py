@@ -32,8 +32,7 @@ WIRES = {
     "slcan": ("drive", "--interface", "slcan-pty"),
     "vcan": ("drive", "--channel", "vcan0", "--node", "5"),
 }
-SLOW = pytest.mark.outside
-ON_CAN = [pytest.param("slcan", marks=SLOW), pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])]
+ON_CAN = ["slcan", pytest.param("vcan", marks=pytest.mark.vcan)]
 DISABLED = "switch on disabled"
 
 
@@ -103,10 +102,7 @@ def test_a_script_moves_and_reads_an_axis_over_a_real_wire(wire: str, tmp_path: 
     assert len(rows) > 2
 
 
-@pytest.mark.parametrize(
-    "wire",
-    [pytest.param("modbus tcp", marks=SLOW), "slcan", pytest.param("vcan", marks=[pytest.mark.vcan, SLOW])],
-)
+@pytest.mark.parametrize("wire", ["modbus tcp", *ON_CAN])
 def test_an_axis_is_calibrated_over_a_real_wire(wire: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in PASSWORDS.items():
         monkeypatch.setenv(name, value)
@@ -148,7 +144,7 @@ def test_an_axis_is_calibrated_on_a_busy_computer(tmp_path: Path, monkeypatch: p
         assert at.stands_disabled()
 
 
-@pytest.mark.parametrize("wire", ["modbus tcp", *ON_CAN])
+@pytest.mark.parametrize("wire", ["modbus tcp", "slcan"])
 def test_ctrl_c_stops_and_disables_the_axis_and_keeps_the_rows(wire: str, tmp_path: Path) -> None:
     with shop(wire, tmp_path) as at:
         with Job("calibrate", str(at.axis)) as job:
@@ -174,9 +170,8 @@ KILLED = (signal.SIGKILL, r"port /dev/pts/.* is gone")
     [
         pytest.param("modbus tcp", *SILENT, id="silent"),
         pytest.param("modbus tcp", *KILLED, id="killed"),
-        pytest.param("slcan", *SILENT, id="silent-slcan", marks=SLOW),
-        pytest.param("slcan", *KILLED, id="killed-slcan", marks=SLOW),
-        pytest.param("vcan", *SILENT, id="silent-vcan", marks=[pytest.mark.vcan, SLOW]),
+        pytest.param("slcan", *SILENT, id="silent-slcan"),
+        pytest.param("slcan", *KILLED, id="killed-slcan"),
     ],
 )
 def test_a_laser_that_falls_silent_or_dies_stops_the_axis(
