@@ -23,8 +23,8 @@ def test_after_what_it_asks_for_it_is_right() -> None:
     """Two machines of each effect; `python tests/study/next_study.py --machines 340` is the whole study."""
     figures = summary([run(case) for case in cases(34)])
     assert figures["confused by the standard test"] >= 17
-    assert figures["truth among those named"] >= 0.94
-    assert figures["right at the end, of those confused"] >= 0.86  # 0.95 is missed: 19 of 22
+    assert figures["truth among those named"] >= 0.95
+    assert figures["right at the end, of those confused"] >= 0.95
     assert figures["runs asked for, mean of those confused"] <= 2.0
 
 

@@ -83,11 +83,8 @@ def test_all_ways_to_a_diagnosis_say_the_same_of_the_same_rows(tmp_path: Path) -
     model = tmp_path / "model.json"
     assert main(["fit", *map(str, by_name), "--out", str(model)]) == 0
     with_model = said_by_command(tmp_path, *map(str, by_name), "--model", str(model))
-    names = {name for name, _ in verdict(loop)[0]}
-    assert names <= {name for name, _ in verdict(with_model)[0]}, (
-        "beside its own table a shape of the pitch may be named too"
-    )
-    assert with_model["unexplained"] == loop["unexplained"]
+    assert verdict(with_model) == verdict(loop)
+    assert confidences(with_model) == pytest.approx(confidences(loop), abs=1e-9)
 
 
 def test_the_demo_measures_what_it_gains_and_says_what_the_command_says_of_its_files(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.model.evidence import Candidate, Fit, Part
-from hil.diagnosis.model.numeric import log_sum_exp, lowest_by_simplex
+from hil.diagnosis.model.evidence import Candidate, Fit, Part, score
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import Rows
 from hil.diagnosis.table import SplineShape
@@ -26,6 +25,8 @@ Singles = NDArray[np.float32]
 
 SAME = 0.02
 """Singular value, over the largest, below which two tables have absorbed the same."""
+ROUNDS = 12
+"""Steps of a search of an effect's parameters: each to the best neighbour, or to half the distance."""
 ROUGH = 300.0
 """Variance of a table, over the white noise, that holds whatever a table can."""
 
@@ -75,12 +76,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Grid:
-    """A form of an effect at its grid points: its columns, one a row, (G·k, n), in single precision."""
+    """A form of an effect at its grid points: its columns, one a row, (G·k, n), in single precision; absorbed: see `Candidate`."""
 
     effect: Effect
     form: Form
     thetas: tuple[tuple[float, ...], ...]
     rows: Singles
+    absorbed: bool = False
 
     @property
     def k(self) -> int:
@@ -102,14 +104,12 @@ class Ranked:
 
 
 class Catalogue:
-    """All effects on their grids for one campaign.
-
-    absorbing: whether a declared table was measured with some of each effect; False where the causes came after it
+    """All effects on their grids for one campaign. Beside a declared table each that is no function of the place is two explanations:
+    it came after the table, or the table was measured with some of it.
     """
 
-    def __init__(self, rows: Rows, effects: Sequence[Effect], *, absorbing: bool = True) -> None:
+    def __init__(self, rows: Rows, effects: Sequence[Effect]) -> None:
         self.rows, self.campaign = rows, rows.campaign
-        self._absorbing = absorbing and rows.is_declared
         self.grids: list[Grid] = []
         self.refining: dict[str, list[Form]] = {}
         self.wandering: list[Candidate] = []
@@ -141,24 +141,27 @@ class Catalogue:
         best = np.max(self.table.beside(columns).reshape(groups.shape[1:]), axis=1)
         if not effect.static or set(form.inputs) <= {"target_mm", "direction"}:
             self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
-        kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > USUAL.beside
+        kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > USUAL.share
         if not np.any(kept):
             return
-        scanned = groups
-        if self._absorbing and not effect.static:
-            scanned = (columns - self.table.held(columns)).reshape(groups.shape)
-        if effect.id in self._varying:
-            scanned = np.concatenate(
-                [scanned, np.broadcast_to(self._mean[:, :, None], (*scanned.shape[:2], 1))], axis=2
-            )
-        chosen = np.ascontiguousarray(scanned[:, kept].reshape(len(columns), -1).T, dtype=np.float32)
         thetas = tuple(tuple(theta) for theta, one in zip(form.starts, kept, strict=True) if one)
-        self.grids.append(Grid(effect, form, thetas, chosen))
+        for absorbed in self._ways(effect):
+            scanned = (columns - self.table.held(columns)).reshape(groups.shape) if absorbed else groups
+            if effect.id in self._varying:
+                mean = np.broadcast_to(self._mean[:, :, None], (*scanned.shape[:2], 1))
+                scanned = np.concatenate([scanned, mean], axis=2)
+            chosen = np.ascontiguousarray(scanned[:, kept].reshape(len(columns), -1).T, dtype=np.float32)
+            self.grids.append(Grid(effect, form, thetas, chosen, absorbed))
+
+    def _ways(self, effect: Effect) -> tuple[bool, ...]:
+        """Whether a table has absorbed some of an effect: beside a declared one both."""
+        return (False, True) if self.rows.is_declared and not effect.static else (False,)
 
     def prior(self, effect: Effect, form: Form) -> float:
         """Log prior odds of a form; those of forms with parameters are paid by their grid, and a shape with a mean is two."""
         own = 0.0 if form.nonlinear else form.log_odds
-        return effect.log_odds + own - USUAL.richer * ((not form.scan) + (effect.id in self._varying))
+        alike = math.log(len(self._ways(effect)))
+        return effect.log_odds + own - alike - USUAL.richer * ((not form.scan) + (effect.id in self._varying))
 
     def part(self, candidate: Candidate, log_prior: float) -> Part:
         """A candidate as a part of the model."""
@@ -168,11 +171,22 @@ class Catalogue:
         if form.shrunk:
             return Part(effect.id, form.inputs, none, columns * math.sqrt(candidate.ratio), none, log_prior, candidate)
         held = none
-        if self._absorbing and not effect.static:  # the table was measured with some of it
+        if candidate.absorbed:
             held = self.table.absorbed(columns)
         if effect.id in self._varying:
             held = self._mean
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
+
+    def again(self, parts: Sequence[Part]) -> list[Part]:
+        """Parts of other rows beside these: each effect in the likelier of its explanations, one after the other."""
+        found = list(parts)
+        for i, part in enumerate(parts):
+            if part.of is None:
+                continue
+            ways = [replace(part.of, absorbed=absorbed) for absorbed in self._ways(part.of.effect)]
+            trials = [[*found[:i], self.part(way, part.log_prior), *found[i + 1 :]] for way in ways]
+            found = max(trials, key=lambda trial: score(self.rows, trial)[0].log_p) if len(trials) > 1 else trials[0]
+        return found
 
     @cached_property
     def _by_width(self) -> list[list[Grid]]:
@@ -203,9 +217,9 @@ class Catalogue:
 
     def _best(self, grid: Grid, fit: Fit, gains: Floats, behind: float) -> Ranked:
         at = int(np.argmax(gains))
-        occam = log_sum_exp(gains) - float(gains[at]) - math.log(len(gains))
+        occam = float(np.logaddexp.reduce(gains) - gains[at]) - math.log(len(gains))
         prior = occam + self.prior(grid.effect, grid.form)
-        part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at]), prior)
+        part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at], absorbed=grid.absorbed), prior)
         return Ranked(behind + float(gains[at]) + prior, part, fit)
 
     def refined(self, part: Part, fit: Fit) -> Part:
@@ -221,18 +235,24 @@ class Catalogue:
             theta = np.clip(np.where(logs, np.exp(np.minimum(z, 50.0)), z), lower, upper)
             return replace(one, theta=tuple(float(value) for value in theta))
 
-        def cost(z: Floats) -> float:
+        def value(z: Floats) -> float:
             trial = at(z)
             prior = sum(p.log_prior(value) for p, value in zip(one.form.nonlinear, trial.theta, strict=True))
-            return -fit.gain(self._columns(trial)) - prior
+            return fit.gain(self._columns(trial)) + prior
 
-        simplex = np.vstack([start, start + np.diag(_steps(one, self.campaign, logs))])
-        _, best = lowest_by_simplex(cost, simplex, 22 * len(start), 0.05)
+        best, most, step = start, value(start), _spacing(one.form, start, logs) / 2.0
+        for _ in range(ROUNDS):
+            trials = [best + way for way in (*np.diag(step), *np.diag(-step))]
+            values = [value(z) for z in trials]
+            if max(values) > most:
+                best, most = trials[int(np.argmax(values))], max(values)
+            else:
+                step = step / 2.0
         return self.part(at(best), part.log_prior)
 
     def _columns(self, one: Candidate) -> Floats:
         columns = one.effect.basis(one.form, one.theta, self.campaign.columns)
-        return columns - self.table.held(columns) if self._absorbing and not one.effect.static else columns
+        return columns - self.table.held(columns) if one.absorbed else columns
 
     def richer(self, part: Part, fit: Fit) -> Iterator[Part]:
         """The same effect by the same column in its richer forms, at the same parameters or the best of their grid."""
@@ -243,21 +263,23 @@ class Catalogue:
             if one.form.inputs[:1] != form.inputs[:1]:
                 continue
             thetas = [one.theta] if len(form.nonlinear) == len(one.theta) else list(form.starts)
-            trials = [Candidate(one.effect, form, tuple(theta)) for theta in thetas]
+            trials = [Candidate(one.effect, form, tuple(theta), absorbed=one.absorbed) for theta in thetas]
             best = max(trials, key=lambda trial: fit.gain(self._columns(trial))) if len(trials) > 1 else trials[0]
             prior = part.log_prior - self.prior(one.effect, one.form) + self.prior(one.effect, form)
             yield self.part(best, prior)
 
 
-def _steps(one: Candidate, campaign: CampaignRows, logs: NDArray[np.bool_]) -> Floats:
-    """First steps of a search of the parameters: of a period what shifts the far end of the travel by a seventh of it."""
-    form = one.form
-    if one.effect.id == "cyclic":
-        return np.array([one.theta[0] / (2.0 * campaign.survey.half_span_mm) * 0.15])
-    if len(logs) == 2 and logs[1] and not logs[0]:  # a zone moves by a share of its width
-        return np.array([0.3 * one.theta[1], 0.3])
-    spans = np.array([p.upper - p.lower for p in form.nonlinear])
-    return np.where(logs, 0.3, 0.1 * spans)
+def _spacing(form: Form, z: Floats, logs: NDArray[np.bool_]) -> Floats:
+    """Distance of the grid points about these parameters in each, on the scale of their search; of one point a share of its bounds."""
+    grid = np.where(logs, np.log(np.maximum(form.starts, 1e-12)), form.starts)
+    size = np.maximum(np.ptp(grid, axis=0), 1e-12)
+    nearest = grid[np.argmin(np.sum(((grid - z) / size) ** 2, axis=1))]
+    found = np.array([0.3 if p.logarithmic else 0.1 * (p.upper - p.lower) for p in form.nonlinear])
+    for i in range(len(z)):
+        same = np.all(np.isclose(np.delete(grid, i, 1), np.delete(nearest, i)), axis=1)
+        gaps = np.abs(grid[same, i] - nearest[i])
+        found[i] = np.min(gaps, where=gaps > 1e-9, initial=found[i])
+    return found
 
 
 def effects_beside(rows: Rows, effects: Sequence[Effect]) -> tuple[Effect, ...]:

@@ -73,6 +73,15 @@ def rows_of(campaign: CampaignRows, declared: Model | None, noise_um: float | No
     return Rows(campaign, Given.of(_as_seen(declared, campaign), usual_um))
 
 
+def _is_of(declared: Model, campaign: CampaignRows) -> bool:
+    """Whether a declared table was fitted from these rows, so that it says nothing which they do not."""
+    rows = Rows(campaign)
+    own = Force(Fit(rows, (), score(rows, ())[0].noise), {}).model().table
+    table = declared.table
+    sides = ((table.forward_um, own.forward_um), (table.backward_um, own.backward_um))
+    return not declared.terms and table.positions_mm == own.positions_mm and all(np.allclose(*side) for side in sides)
+
+
 def _as_seen(declared: Model, campaign: CampaignRows) -> Model:
     """A declared model whose bounded terms go as far as these rows do."""
     return declared.with_terms([as_far_as_seen(t, campaign.columns) if is_bounded(t) else t for t in declared.terms])
@@ -92,7 +101,7 @@ def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[E
 def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Found]:
     """The parts beside some that stay; those again with the noise of each row as the first ones leave it."""
     catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
-    stay = [one if one.of is None else catalogue.part(one.of, one.log_prior) for one in kept]
+    stay = catalogue.again(kept)
     search = Search(rows, catalogue, remainder, stay)
     first = search.run(stay)
     weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
@@ -119,11 +128,12 @@ class Case:
     """One diagnosis, step by step."""
 
     def __init__(self, records: Records, declared: Model | None, effects: Sequence[Effect], seed: int) -> None:
-        self.records, self.declared, self.effects = records, declared, effects
+        self.records, self.effects = records, effects
         self.rows = AllRows.of(records, seed)
         self.campaign = self.rows.searched
+        self.declared = None if declared is None or _is_of(declared, self.campaign) else declared
         self.folds = Folds.of(self.rows, self.campaign.run)
-        self.search, self.found = searched(self.campaign, declared, effects)
+        self.search, self.found = searched(self.campaign, self.declared, effects)
         recorded = [name for name, values in records.columns.items() if np.all(np.isfinite(values))]
         self.verdict = Verdict(self.search, self.found, recorded)
 

@@ -68,12 +68,16 @@ class Noise:
 
 @dataclass(frozen=True)
 class Candidate:
-    """An effect in one form with its non-linear parameters; ratio: variance of its coefficients over the noise's, of a shrunk form."""
+    """An effect in one form with its non-linear parameters.
+
+    ratio: variance of its coefficients over the noise's, of a shrunk form; absorbed: a declared table was measured with some of it
+    """
 
     effect: Effect
     form: Form
     theta: tuple[float, ...]
     ratio: float = 1.0
+    absorbed: bool = False
 
 
 @dataclass(frozen=True, eq=False)

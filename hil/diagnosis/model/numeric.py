@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 
 import numpy as np
@@ -30,25 +29,6 @@ def inverse_of_lower(lower: Floats) -> Floats:
     out[half:, half:] = inverse_of_lower(lower[half:, half:])
     out[half:, :half] = -out[half:, half:] @ (lower[half:, :half] @ out[:half, :half])
     return out
-
-
-def log_sum_exp(values: Floats) -> float:
-    """Log of the sum of exponentials."""
-    top = float(np.max(values))
-    return top + math.log(float(np.sum(np.exp(values - top))))
-
-
-def ranks(values: Floats) -> Floats:
-    """Ranks from 1, equal values at their mean rank."""
-    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return np.asarray((last - 0.5 * (counts - 1))[index], dtype=np.float64)
-
-
-def log_density_of_student(z: Floats, dof: float) -> Floats:
-    """Log density of Student's t."""
-    scale = math.lgamma((dof + 1.0) / 2.0) - math.lgamma(dof / 2.0) - 0.5 * math.log(dof * math.pi)
-    return np.asarray(scale - 0.5 * (dof + 1.0) * np.log1p(z * z / dof))
 
 
 def highest(
@@ -81,43 +61,3 @@ def highest(
         if gained < 1e-4:
             break
     return y, x
-
-
-def lowest_by_simplex(
-    cost: Callable[[Floats], float], simplex: Floats, most: int, enough: float
-) -> tuple[float, Floats]:
-    """Lowest cost from a simplex, (k + 1, k), in so many evaluations, or until its corners differ by less than `enough`: Nelder and
-    Mead, Computer Journal 7 (1965).
-    """
-    corners = [(cost(one), one) for one in simplex]
-    used = len(corners)
-    while used < most:
-        corners.sort(key=lambda one: one[0])
-        if corners[-1][0] - corners[0][0] < enough:
-            break
-        worst, second = corners[-1], corners[-2][0]
-        middle = np.mean([one for _, one in corners[:-1]], axis=0)
-        away = middle - worst[1]
-        new = _at(cost, middle + away)
-        used += 1
-        if new[0] < corners[0][0]:
-            further = _at(cost, middle + 2.0 * away)
-            used += 1
-            corners[-1] = min(new, further, key=lambda one: one[0])
-        elif new[0] < second:
-            corners[-1] = new
-        else:
-            outside = new[0] < worst[0]
-            nearer = _at(cost, middle + (0.5 if outside else -0.5) * away)
-            used += 1
-            if nearer[0] <= (new[0] if outside else worst[0]):
-                corners[-1] = nearer
-            else:
-                best = corners[0][1]
-                corners[1:] = [_at(cost, best + 0.5 * (one - best)) for _, one in corners[1:]]
-                used += len(corners) - 1
-    return min(corners, key=lambda one: one[0])
-
-
-def _at(cost: Callable[[Floats], float], x: Floats) -> tuple[float, Floats]:
-    return cost(x), x

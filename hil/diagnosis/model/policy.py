@@ -13,14 +13,14 @@ class Policy:
     richer: prior log odds against a richer form, a further term of an effect that is there, and physics out of its range
     temperature: divisor of log odds before they become a confidence, since no form is exactly right
     unlogged: prior log odds against a cause through a column that was not recorded
-    form: share of an effect's RMS below which a remainder in its own columns is the error of its form
+    share: part of an effect's RMS that is too little to be told apart: a remainder in its own columns below it is the error of its
+        form, and of which a rough table leaves no more is not told from the table
     memory, offset: scales of the half-normal prior on noise with memory and of the half-Cauchy one on offsets of runs, in white noise
     pseudo_rows: rows of average noise that each group of rows has before its own scale is taken
     tail: degrees of freedom of Student's t where the tails are heavy
-    few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away
-    far: robust standard deviations from which a row is far off
+    few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away; rows of which a
+        normal noise has fewer are far off
     largest: RMS of an effect over that of the errors, from which another one would have to undo it
-    beside: share of a function of position and direction that a rough table must leave, for it to be told from the table
     sure: posterior of an effect by its column from which its correction goes beyond what was seen
     """
 
@@ -28,16 +28,14 @@ class Policy:
     richer: float = 3.0
     temperature: float = 2.0
     unlogged: float = 1.0
-    form: float = 0.35
+    share: float = 0.33
     memory: float = 0.5
     offset: float = 0.35
     pseudo_rows: float = 10.0
     tail: float = 5.0
     few: float = 0.01
     outlier: float = 6.0
-    far: float = 2.5
     largest: float = 2.0
-    beside: float = 0.3
     sure: float = 0.9
 
 

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -378,7 +379,7 @@ class Remainder:
         """
         place = self.axes.get("target_mm")
         away = np.abs(fit.residual - np.median(fit.residual))
-        far = away > USUAL.far * 1.4826 * float(np.median(away))
+        far = away > NormalDist().inv_cdf(1.0 - 0.5 * USUAL.few) * 1.4826 * float(np.median(away))
         if place is None or not LEAST_HIT <= np.sum(far) <= len(far) / 4:
             return
         columns = thin(place.smooth() * far[:, None], WIDTHS[0])

@@ -213,6 +213,11 @@ def to_record(columns: Sequence[str]) -> str:
     return f"record {'one of these ' if len(columns) > 1 else ''}in every row: {'; '.join(columns)}"
 
 
+def to_switch(column: str) -> str:
+    """What tells a jump from a relay of a column."""
+    return f"let it go back and forth once more, what switches with it comes again: {column}"
+
+
 def to_show(column: str, recorded: Collection[str]) -> str:
     """What to do for one column that nobody changed, or recorded."""
     return f"measure at another value of: {column}" if column in recorded else to_record((column,))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.model.numeric import inverse_of_lower, log_density_of_student
+from hil.diagnosis.model.numeric import inverse_of_lower
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
 from hil.effects import Term
@@ -250,7 +250,9 @@ def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
     z = z / max(1.4826 * float(np.median(np.abs(z))), 1e-12)
     sd = max(float(np.std(z)), 1e-12)
     normal = float(np.sum(-0.5 * (z / sd) ** 2)) - len(z) * math.log(sd * math.sqrt(2.0 * math.pi))
-    if float(np.sum(log_density_of_student(z, USUAL.tail))) > normal + USUAL.named:
+    peak = math.lgamma((USUAL.tail + 1.0) / 2.0) - math.lgamma(USUAL.tail / 2.0) - 0.5 * math.log(USUAL.tail * math.pi)
+    student = len(z) * peak - 0.5 * (USUAL.tail + 1.0) * float(np.sum(np.log1p(z * z / USUAL.tail)))
+    if student > normal + USUAL.named:
         scale = scale * np.sqrt((USUAL.tail + z**2) / (USUAL.tail + 1.0))
     return np.asarray(scale / np.exp(np.mean(np.log(scale))))
 

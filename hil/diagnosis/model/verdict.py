@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.evidence import Fit, Part, Scored
 from hil.diagnosis.model.intervals import terms_of
-from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rivals import not_told_apart, separating
+from hil.diagnosis.model.rivals import not_told_apart, separating, to_switch
 from hil.diagnosis.model.search import Found, Search
 from hil.diagnosis.model.unlogged import columns_of, share_of, unlogged
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
@@ -86,7 +85,7 @@ class Verdict:
             size * relative,
             peak,
             tuple(more),
-            self.search.catalogue.beside.get(name, 1.0) > USUAL.beside,
+            self.search.catalogue.beside.get(name, 1.0) > USUAL.share,
             () if more else self._follows(parts[0], term),
             not more and _is_vague(term, size, self.campaign),
         )
@@ -107,27 +106,28 @@ class Verdict:
         other = (*alike, *finding.term.effect.stands_for(finding.term.form))
         for name in other:
             odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - USUAL.unlogged)
-        if finding.is_implausible or (finding.term.effect.once and self._switched(finding)):
+        if finding.is_implausible or self._switched(finding):
             odds[OUTSIDE] = max(odds.get(OUTSIDE, -1e300), odds[finding.effect] - USUAL.unlogged)
         return share_of(odds)
 
-    def _switched(self, finding: Finding) -> bool:
-        """Whether a recorded column passes a level where the reading jumps, and nowhere else: a relay of it makes the same rows."""
+    def _switched(self, finding: Finding) -> str:
+        """The recorded column that passes a level where the reading jumps, and nowhere else: a relay of it makes the same rows."""
         course = finding.term.error_um(self.campaign.columns)
         above = course > np.mean([np.min(course), np.max(course)])
-        if finding.term.form.shrunk or np.ptp(course) == 0.0:
-            return False
+        if not finding.term.effect.once or finding.term.form.shrunk or np.ptp(course) == 0.0:
+            return ""
         for name in sorted(self.campaign.survey.varying - CLOCKS):
             values = self.campaign.columns[name]
             for one, other in ((values[above], values[~above]), (values[~above], values[above])):
                 if np.max(one) < np.min(other):
-                    return True
-        return False
+                    return name
+        return ""
 
     def _beside(self, finding: Finding, weights: Mapping[str, float]) -> Finding:
-        effect = finding.term.effect
+        effect, relay = finding.term.effect, self._switched(finding)
+        of_relay = {OUTSIDE: to_switch(relay)} if relay else {}
         rivals = tuple(
-            RivalFound(name, weight, separating(effect, name, columns_of(name, self.recorded)))
+            RivalFound(name, weight, of_relay.get(name) or separating(effect, name, columns_of(name, self.recorded)))
             for name, weight in sorted(weights.items(), key=lambda one: -one[1])
             if name != finding.effect and weight > LEAST
         )
@@ -178,14 +178,14 @@ class Verdict:
         """Whether a remainder is the error of the form of an effect in the same columns."""
         for name, parts in self.groups.items():
             own = {column for one in parts for column in one.names}
-            if set(part.names) <= own | FORM and size_um < USUAL.form * float(np.std(self.course_um(name))):
+            if set(part.names) <= own | FORM and size_um < USUAL.share * float(np.std(self.course_um(name))):
                 return True
         return False
 
     def _equivalent(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """By column, the others that move with it."""
         ranks = {
-            name: ranks_of(self.campaign.columns[name])
+            name: np.argsort(np.argsort(self.campaign.columns[name], kind="stable"))
             for name in sorted(self.campaign.survey.varying)
             if name not in ("run", "measured_mm", "command_mm", "row_order")
         }

@@ -62,7 +62,7 @@ class Unseen:
     @property
     def wanders(self) -> bool:
         """Whether it is an offset that follows an unread sensor, and so may take any course in time."""
-        return self.column in IN_TIME and "target_mm" not in self.form.inputs
+        return self.column in IN_TIME and not {"target_mm", "direction"} & set(self.form.inputs)
 
 
 @dataclass(frozen=True)
@@ -113,7 +113,7 @@ def _weigh_part(
 ) -> list[Hypothesis]:
     """The gain of each cause over none in records of complete columns; causes that they cannot show are left out."""
     rows = rows_of(prepare(records), declared)
-    search = Search(rows, Catalogue(rows, effects_beside(rows, effects), absorbing=False), None)
+    search = Search(rows, Catalogue(rows, effects_beside(rows, effects)), None)
     known = [term for term in beside if all(name in rows.campaign.columns for name in term.needs)]
     parts = tuple(_part_of(search, term) for term in known)
     scored = search.scored(parts)
@@ -150,8 +150,10 @@ def _part_of(search: Search, term: Term) -> Part:
 
 
 def _gain(fit: Fit, columns: Floats) -> float:
-    """Of a column that was set as of one that was recorded, of a course as of any random function."""
-    return fit.gain(columns) if columns.shape[1] == 1 else fit.random_gain(columns)[0]
+    """Of a column that was set as of one that was recorded, of a course as of any random function, in units of its own size."""
+    return (
+        fit.gain(columns) if columns.shape[1] == 1 else fit.random_gain(columns / max(float(np.std(columns)), 1e-12))[0]
+    )
 
 
 def _hidden(fit: Fit, columns: Floats) -> bool:

@@ -69,7 +69,7 @@ class Continuation:
         self.noise = Noise(NO_MEMORY, np.log([ROUGH**0.5, ROUGH**0.5, TYPICAL_OFFSET]))
         self.terms: list[Term | None] = []
         self.so_far: list[Floats] = []
-        catalogue = Catalogue(rows, [cause.effect for cause in self.causes], absorbing=False)
+        catalogue = Catalogue(rows, [cause.effect for cause in self.causes])
         noise_um = []
         for cause in self.causes:
             part = _part(catalogue, cause)

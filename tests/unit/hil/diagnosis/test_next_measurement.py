@@ -63,6 +63,43 @@ def test_discrimination_is_what_a_refit_by_hand_leaves() -> None:
     assert drawing.discrimination(repeat)[first, second] < 1.0, "at one feed nothing sets them apart"
 
 
+def standing_still(error_um: np.ndarray, target_mm: np.ndarray, direction: np.ndarray) -> Records:
+    """Five runs there and back, 6 s a row, without any sensor."""
+    return Records.of(
+        {
+            "run": np.repeat(np.arange(1.0, 6.0), len(target_mm) // 5),
+            "direction": direction,
+            "target_mm": target_mm,
+            "measured_mm": target_mm + error_um / 1e3,
+            "time_s": 6.0 * np.arange(len(target_mm)),
+        }
+    )
+
+
+def there_and_back() -> tuple[np.ndarray, np.ndarray, np.random.Generator]:
+    """Targets, directions, and the numbers of the noise."""
+    there = np.linspace(5.0, 195.0, 13)
+    return np.tile([*there, *there[::-1]], 5), np.tile(np.repeat([1.0, -1.0], 13), 5), np.random.default_rng(4)
+
+
+def test_a_bow_of_the_place_may_be_a_tilt_that_nobody_read() -> None:
+    """An arm of 200 mm makes 0.2 µm of a µrad: the course of the angle has the size of what it makes."""
+    target, direction, rng = there_and_back()
+    bow_um = 2.0 * np.cos(3.0 * (target - 100.0) / 100.0) + 0.4 * rng.normal(size=len(target))
+    weights = {cause.id: cause.weight for cause in weigh(standing_still(bow_um, target, direction), FLAT, ALL)}
+    assert weights["abbe"] > 0.2
+    assert weights["pitch_shape"] > 0.02
+
+
+def test_an_offset_that_wanders_is_no_backlash_with_an_unread_temperature() -> None:
+    """Any course of an unread sensor explains an offset; what it makes of the reversal has the sign of the direction."""
+    target, direction, rng = there_and_back()
+    wander_um = np.cumsum(rng.normal(size=len(target))) * 0.3 + 0.1 * rng.normal(size=len(target))
+    weights = {cause.id: cause.weight for cause in weigh(standing_still(wander_um, target, direction), FLAT, ALL)}
+    assert min(weights[name] for name in ("thermal_drift", "dead_path", "beam_drift")) > 0.1
+    assert weights["backlash"] < 0.01
+
+
 @pytest.mark.parametrize("seed", [1, 3, 5])
 def test_in_eight_minutes_no_shop_goes_as_far_as_in_six_hours(seed: int) -> None:
     """Growth by 1.5 K in six hours, of the screw or of air that nobody logged: the run once more hardly tells, air sensors do."""

@@ -15,7 +15,7 @@ import pytest
 from support.campaigns import campaign
 
 from hil.diagnosis.follow_up import ALONE_MIN
-from hil.diagnosis.model.rivals import separating
+from hil.diagnosis.model.rivals import separating, to_switch
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
 from hil.diagnosis.page_data import ShownFinding, read_shown
@@ -195,6 +195,8 @@ def test_what_to_record_is_said_in_every_language() -> None:
     assert Texts("de").said(text).startswith("eines davon in jeder Zeile aufzeichnen: Last; Drehmoment; ")
     assert set(LATIN.findall(Texts("zh").said(text))) <= OURS
     assert Texts("de").said(separating(ALL[0], "some other", SENSORS[:1])) == "in jeder Zeile aufzeichnen: Last"
+    assert Texts("de").said(to_switch("load_kg")).endswith("was mit ihr schaltet, kommt wieder: Last")
+    assert set(LATIN.findall(Texts("zh").said(to_switch("load_kg")))) <= OURS
 
 
 def test_parts_of_what_is_said_are_said_too() -> None:

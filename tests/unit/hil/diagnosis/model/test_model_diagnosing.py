@@ -137,7 +137,8 @@ def _uncorrected(case: str) -> Array:
 def test_a_recorded_column_that_passed_a_level_at_the_jump_is_a_rival() -> None:
     found = said("relay")
     assert found.findings[0].effect == "datum_step"
-    assert OUTSIDE in {rival.effect for rival in found.findings[0].rivals}
+    relay = next(rival for rival in found.findings[0].rivals if rival.effect == OUTSIDE)
+    assert relay.separate_by.endswith("comes again: temp_screw_c")
     assert found.findings[0].confidence < 0.9
 
 
