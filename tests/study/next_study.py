@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -145,7 +145,13 @@ def _weights(look: Outlook) -> tuple[tuple[str, float], ...]:
     return tuple((cause.id, round(cause.weight, 3)) for cause in look.rivals)
 
 
-def summary(outcomes: list[Outcome]) -> dict[str, float]:
+def of_json(path: Path) -> list[Outcome]:
+    """The outcomes that `--json` wrote."""
+    lines = map(json.loads, path.read_text(encoding="utf-8").splitlines())
+    return [Outcome(Case(**one.pop("case")), **one) for one in lines]
+
+
+def summary(outcomes: Sequence[Outcome]) -> dict[str, float]:
     confused = [o for o in outcomes if o.confused]
     figures = {
         "machines": float(len(outcomes)),

@@ -1,6 +1,8 @@
-"""What each number of the policy moves: verdicts on tuning machines with the number halved and doubled, beside those as it stands.
+"""What each part of the model and each number of its policy moves: verdicts on tuning machines without the part, or with the number
+changed, beside those as it stands.
 
-`python tests/study/grammar/ablation.py OUT.jsonl --machines 30` goes on where OUT ends and prints the table.
+`python tests/study/grammar/ablation.py OUT.jsonl --machines 6` goes on where OUT ends and prints the table; `--only` names some,
+`--together "rows hit + largest 1e9"` changes all of these at once.
 """
 
 from __future__ import annotations
@@ -8,105 +10,138 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 if not __package__:  # run as a file: its own place would hide the package
     sys.path[0] = str(Path(__file__).resolve().parents[2])
 
-from study.grammar.equivalence import always_there, not_wrong, right_names
-from study.grammar.machine import LOTS, SEEDS, draw
+import numpy as np
+from study.grammar.frozen import asked, compact
+from study.grammar.judge import Outcome, outcome
+from study.grammar.machine import LOTS, SEEDS
 
-from hil.diagnosis import diagnose, fit_model
+from hil.diagnosis.model import diagnosing, verdict
+from hil.diagnosis.model.candidates import Catalogue
+from hil.diagnosis.model.diagnosing import Case
+from hil.diagnosis.model.evidence import Fit, Noise
 from hil.diagnosis.model.policy import USUAL
-from hil.records.rows import Records
+from hil.diagnosis.model.remainder import Remainder
+from hil.diagnosis.model.search import Search
 
 FACTORS = (0.5, 2.0)
+PARTS: Mapping[str, tuple[Any, str, Any]] = {
+    "rivals by physics": (verdict, "not_told_apart", lambda *_: {}),
+    "unlogged": (verdict, "unlogged", lambda *_: ()),
+    "rows hit": (Remainder, "_hit", lambda *_: ()),
+    "turning": (Remainder, "_turning", lambda *_: ()),
+    "rows in cycles": (Remainder, "_of_rows", lambda *_: ()),
+    "states in time": (Remainder, "_in_time", lambda *_: ()),
+    "effects instead": (Search, "_effects_instead", lambda *_: None),
+    "few rows": (Search, "rests_on_few", lambda *_: False),
+    "ranges": (Search, "_against", lambda *_: 0.0),
+    "other noises": (Search, "_fits", lambda search, parts: [Fit(search.rows, parts, search.scored(parts)[0].noise)]),
+    "smoother table": (Noise, "smoother", lambda noise: noise),
+    "usual offsets": (Noise, "has_large_offsets", False),
+    "refined": (Catalogue, "refined", lambda _, part, __: part),
+    "richer forms": (Catalogue, "richer", lambda *_: ()),
+    "scale of rows": (diagnosing, "row_scale", lambda residual, _: np.ones(len(residual))),
+    "relay": (verdict.Verdict, "_switched", lambda *_: False),
+    "error of a form": (verdict.Verdict, "_is_form", lambda *_: False),
+    "suspected": (Case, "_suspected", lambda case: case._nothing()),
+    "bounded": (Case, "_bounded", lambda _, live: dict(live)),
+    "gain": (Case, "_with_gain", lambda _, taken: taken),
+}
+"""Parts that can be left out, and what stands in their place."""
 
 
-def variants() -> Iterator[tuple[str, float]]:
-    """Each number with its factor; none first."""
-    yield "", 1.0
-    for name in asdict(USUAL):
-        yield from ((name, factor) for factor in FACTORS)
-
-
-def verdict(lot: str, seed: int, name: str, factor: float) -> dict[str, Any]:
-    """Names with their confidences, whether something is unexplained, and the RMS of what runs left out keep."""
-    drawn = draw(lot, seed)
-    declared = None if drawn.older is None else fit_model(Records.of(drawn.older.records))
-    if name:
-        usual = getattr(USUAL, name)
-        object.__setattr__(USUAL, name, usual * factor)
+@contextmanager
+def number(name: str, factor: float) -> Iterator[None]:
+    """A number of the policy times a factor."""
+    usual = getattr(USUAL, name)
+    object.__setattr__(USUAL, name, usual * factor)
     try:
-        found = diagnose(Records.of(drawn.fit.records), declared)
+        yield
     finally:
-        if name:
-            object.__setattr__(USUAL, name, usual)
-    courses = [cause["course_of_time"] for cause in drawn.truth()["causes"]]  # type: ignore[index, attr-defined]
-    rights = [right_names(cause, drawn.removed, one) for cause, one in zip(drawn.causes, courses, strict=True)]
-    tolerated = frozenset().union(
-        *rights, *(not_wrong(cause) for cause in drawn.causes), always_there(drawn.older is not None)
+        object.__setattr__(USUAL, name, usual)
+
+
+def variants(only: Sequence[str], together: str) -> list[str]:
+    """As it stands, and changed together, or without each part and with each number halved and doubled."""
+    if together:
+        return ["", together]
+    changed = [*PARTS, *(f"{name} {factor:g}" for name in asdict(USUAL) for factor in FACTORS)]
+    return ["", *(one for one in changed if not only or one in only or one.split(" ")[0] in only)]
+
+
+def judged(lot: str, seed: int, variant: str) -> Outcome:
+    """The outcome of one machine with a variant of the model."""
+    with ExitStack() as changed:
+        for one in filter(None, variant.split(" + ")):
+            if one in PARTS:
+                changed.enter_context(patch.object(*PARTS[one]))
+            else:
+                name, factor = one.split(" ")
+                changed.enter_context(number(name, float(factor)))
+        return outcome(lot, seed)
+
+
+def _said(one: Outcome) -> object:
+    said = one["said"]
+    return said["unexplained"], [(effect, confidence > 0.9) for effect, confidence, _ in said["findings"]]
+
+
+def table(lines: Sequence[Outcome], changed: Sequence[str]) -> None:
+    """Of each variant: machines, verdicts that change, right and wrong ones, and the fresh errors that change by 2 %."""
+    by_variant: dict[str, dict[tuple[str, int], Outcome]] = {}
+    for one in lines:
+        if "error" not in one:
+            by_variant.setdefault(one["variant"], {})[one["lot"], one["seed"]] = one
+    usual = by_variant.get("", {})
+    print(f"as it stands: {len(usual)} machines, right {sum(map(asked, usual.values()))}")
+    print(
+        "| without, or number × | machines | verdicts changed | right | wrong above 0.9 | fresh better, worse by 2 % | seconds |"
     )
-    names = [finding.effect for finding in found.findings]
-    is_right = not names and not found.unexplained
-    if lot.startswith("outside"):
-        is_right = found.unexplained
-    elif lot != "clean":
-        is_right = bool(names) and names[0] in rights[0] and all(set(names) & right for right in rights)
-    return {
-        "names": names,
-        "sure": [finding.confidence > 0.9 for finding in found.findings],
-        "unexplained": found.unexplained,
-        "right": bool(is_right),
-        "wrong": any(f.confidence > 0.9 and f.effect not in tolerated for f in found.findings),
-        "after_um": found.after.rms_um,
-    }
-
-
-def table(lines: Sequence[dict[str, Any]]) -> None:
-    """Of each number and factor: machines, verdicts that change, right and wrong ones, and corrections that change by 2 %."""
-    usual = {(one["lot"], one["seed"]): one for one in lines if not one["number"]}
-    print(f"as it stands: {len(usual)} machines, right {sum(one['right'] for one in usual.values())}")
-    print("| number | factor | machines | verdicts changed | right | wrong above 0.9 | corrections changed by 2 % |")
     print("|---|---:|---:|---:|---:|---:|---:|")
-    for name, factor in variants():
-        own = [one for one in lines if one["number"] == name and one["factor"] == factor and name]
-        count: Counter[str] = Counter()
-        for one in own:
-            before = usual[one["lot"], one["seed"]]
-            count["changed"] += any(one[key] != before[key] for key in ("names", "sure", "unexplained"))
-            count["right"] += int(one["right"]) - int(before["right"])
-            count["wrong"] += int(one["wrong"]) - int(before["wrong"])
-            count["corrected"] += abs(one["after_um"] / before["after_um"] - 1.0) > 0.02
-        if own:
-            print(
-                f"| {name} | {factor:g} | {len(own)} | {count['changed']} | {count['right']:+d} | {count['wrong']:+d}"
-                f" | {count['corrected']} |"
-            )
+    for variant in changed:
+        pairs = [(usual[key], one) for key, one in by_variant.get(variant, {}).items() if key in usual]
+        if not pairs:
+            continue
+        other = sum(_said(a) != _said(b) for a, b in pairs)
+        right = sum(int(asked(b)) - int(asked(a)) for a, b in pairs)
+        wrong = sum(bool(b["confident_wrong"]) - bool(a["confident_wrong"]) for a, b in pairs)
+        better = sum(b["fresh_um"] < 0.98 * a["fresh_um"] for a, b in pairs)
+        worse = sum(b["fresh_um"] > 1.02 * a["fresh_um"] for a, b in pairs)
+        seconds = sum(b["said"]["seconds"] for _, b in pairs) / sum(a["said"]["seconds"] for a, _ in pairs)
+        print(f"| {variant} | {len(pairs)} | {other} | {right:+d} | {wrong:+d} | {better}, {worse} | × {seconds:.2f} |")
 
 
 def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("out", type=Path)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--machines", type=int, default=30)
+    parser.add_argument("--machines", type=int, default=6)
+    parser.add_argument("--lot", action="append", choices=LOTS)
+    parser.add_argument("--only", action="append", default=[], help="a part or a number")
+    parser.add_argument("--together", default="", help="parts and numbers with their factors, joined by +")
     args = parser.parse_args(words)
+    trials = variants(args.only, args.together)
     lines = [json.loads(line) for line in args.out.read_text().splitlines()] if args.out.exists() else []
-    done = {(one["lot"], one["seed"], one["number"], one["factor"]) for one in lines}
+    done = {(one["lot"], one["seed"], one["variant"]) for one in lines}
     for seed in SEEDS["tuning"][args.first : args.first + args.machines]:
-        for lot in LOTS:
-            for name, factor in variants():
-                if (lot, seed, name, factor) in done:
+        for lot in args.lot or LOTS:
+            for variant in trials:
+                if (lot, seed, variant) in done:
                     continue
-                found = {"lot": lot, "seed": seed, "number": name, "factor": factor} | verdict(lot, seed, name, factor)
+                found = compact(judged(lot, seed, variant)) | {"variant": variant}
                 with args.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(found) + "\n")
                 lines.append(found)
-    table(lines)
+    table(lines, trials[1:])
     return 0
 
 

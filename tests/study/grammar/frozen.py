@@ -24,6 +24,9 @@ import numpy as np
 from study.grammar.judge import Outcome, outcome
 from study.grammar.machine import LOTS, SEEDS
 from study.grammar.report import quantiles, right, share, text
+from study.next_study import Outcome as Asked
+from study.next_study import of_json
+from study.next_study import summary as of_runs_asked
 
 KEPT = (
     "lot", "seed", "error", "held", "twin", "named_first", "all_named", "in_a_set", "silent", "confident_wrong", "confidences",
@@ -66,13 +69,13 @@ def read(path: Path) -> list[Outcome]:
     return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines() if line]
 
 
-def _asked(one: Outcome) -> bool:
+def asked(one: Outcome) -> bool:
     """What the lot asks for; confident wrong names are counted apart."""
     return bool(right(one | {"confident_wrong": []}))
 
 
 FIGURES: dict[str, Callable[[Outcome], bool]] = {
-    "right": _asked,
+    "right": asked,
     "wrong above 0.9": lambda one: bool(one["confident_wrong"]),
     "unexplained": lambda one: bool(one["said"]["unexplained"]),
     "silent": lambda one: bool(one["silent"]),
@@ -123,15 +126,14 @@ KINDS: dict[str, tuple[tuple[str, ...], str]] = {
 HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. The machines are drawn by a generator that
-shares no code with the diagnosis, from seed 810650 on. Those of 810650 to 810664 are of an earlier state of it, the others
-of the one before functions of the place had to show in more than one run; 810653 and 810654
-of `missing` were looked at and are no proof. Intervals are Wilson's at 95 %.
+shares no code with the diagnosis, from seed 810650 on. Those of 810650 to 810675 are of earlier states of it, from 810676
+on of the present one; 810653 and 810654 of `missing` were looked at and are no proof. Intervals are Wilson's at 95 %.
 
 | Command | What it does |
 |---|---|
-| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10665` | adds machines, of one lot with `--lot` |
+| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10676` | adds machines, of one lot with `--lot` |
 | `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | two such files side by side |
-| `python tests/study/grammar/ablation.py OUT.jsonl` | halves and doubles each number of the policy on tuning machines |
+| `python tests/study/grammar/ablation.py OUT.jsonl` | leaves out each part and changes each number, on tuning machines |
 | `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | beside BIC, lasso, STLSQ, trees |
 | `python tests/study/own_catalogue.py --machines 520` | machines of our own catalogue |
 | `python tests/study/next_study.py` | whether the runs asked for separate causes |
@@ -143,7 +145,7 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     """The rows of the users' page."""
     lines = ["| Machines | of them | right is | right | at least |", "|---|---:|---|---:|---:|"]
     for kind, (lots, what) in KINDS.items():
-        hits = [_asked(one) for one in outcomes if one["lot"] in lots and "error" not in one]
+        hits = [asked(one) for one in outcomes if one["lot"] in lots and "error" not in one]
         found = share(hits)
         lines.append(
             f"| {kind} | {len(hits)} | {what} | {100 * found['share']:.0f} % | {100 * found['wilson_95'][0]:.0f} % |"
@@ -163,6 +165,13 @@ def _lot(lot: str, own: Sequence[Outcome]) -> list[str]:
     return [*lines, ""]
 
 
+def _runs_asked(outcomes: Sequence[Asked]) -> list[str]:
+    """What the runs that were asked for lead to."""
+    lines = ["## The next measurement", "", "`python tests/study/next_study.py --machines 34 --json OUT.jsonl`", ""]
+    rows = [f"| {name} | {value:.3g} |" for name, value in of_runs_asked(outcomes).items()]
+    return [*lines, "| Figure | value |", "|---|---:|", *rows, ""]
+
+
 def page() -> str:
     """`diagnosis_lots.md`."""
     now, before = (read(OUTCOMES / f"{name}.jsonl") for name in ("model", "search"))
@@ -170,6 +179,7 @@ def page() -> str:
     lines = [HEAD, *summary(now), ""]
     for lot in LOTS:
         lines += _lot(lot, [one for one in good if one["lot"] == lot])
+    lines += _runs_asked(of_json(OUTCOMES / "next.jsonl"))
     lines += [
         "## Beside the engine before",
         "",
@@ -179,7 +189,7 @@ def page() -> str:
     old = {(one["lot"], one["seed"]): one for one in before if "error" not in one}
     for lot in LOTS:
         both = [(old[lot, one["seed"]], one) for one in good if one["lot"] == lot and (lot, one["seed"]) in old]
-        counts = [sum(map(_asked, side)) for side in zip(*both, strict=True)]
+        counts = [sum(map(asked, side)) for side in zip(*both, strict=True)]
         lines.append(f"| {lot} | {len(both)} | {counts[0]} | {counts[1]} |")
     return "\n".join(lines) + "\n"
 
