@@ -85,7 +85,7 @@ class Axis:
         self._homed = False  # the datum is taken, and the history known
         self._last: tuple[float, float, int] | None = None  # target, command, direction of arrival
         self._moves: tuple[Move, ...] | None = None  # that a procedure may make; None: no procedure runs
-        self.first_run = 1  # that a procedure is to measure; a resumed one has those before
+        self._first_run = 1
 
     @property
     def name(self) -> str:
@@ -98,6 +98,11 @@ class Axis:
         from hil.script.parameters import Parameters  # noqa: PLC0415
 
         return Parameters(self.file, self._carry_out)
+
+    @property
+    def first_run(self) -> int:
+        """The first run that a procedure is to measure: 1, or after an interruption the run that was broken off."""
+        return self._first_run
 
     @property
     def bench(self) -> Bench:
@@ -122,9 +127,9 @@ class Axis:
         self._connection = None
         self._stack.__exit__(exc_type, exc, traceback)
 
-    def confine(self, moves: tuple[Move, ...], begun_ns: int) -> None:
-        """A procedure runs: the axis is homed, and moves within these moves alone. begun_ns: when its time began."""
-        self._moves, self._opened_ns, self._homed = moves, begun_ns, True
+    def confine(self, moves: tuple[Move, ...], first_run: int, begun_ns: int) -> None:
+        """For the job of a procedure: the axis is homed, and moves within these moves alone. begun_ns: when its time began."""
+        self._moves, self._first_run, self._opened_ns, self._homed = moves, first_run, begun_ns, True
 
     def forget(self) -> None:
         """The connection is closed by its owner; forget it."""

@@ -110,8 +110,9 @@ def procedure_job(
             session.time_offset_s = max(session.time_offset_s, campaign.last_time_s() - session.elapsed_s())
             passed_ns = round((session.elapsed_s() + session.time_offset_s) * NS_PER_S)
             prepared = Axis(axis, Passwords(None, None), place.listener, Connection(place.drive, session))
-            prepared.confine(plan.moves, session.clock.now_ns() - passed_ns)
-            records = _Rows(procedure, campaign, place.listener).measured(prepared)
+            rows = _Rows(procedure, campaign, place.listener)
+            prepared.confine(plan.moves, rows.first_run, session.clock.now_ns() - passed_ns)
+            records = rows.measured(prepared)
         campaign.finish()
         return Carried(campaign.directory, records)
 
@@ -127,12 +128,13 @@ class _Rows:
         self._kind = type(procedure)
         self._name = procedure.kind.removeprefix(OF_PROCEDURE)
         self._columns = campaign.columns(self._name)
+        self._kept = self._on_disk()
+        self.first_run = 1 if self._kept is None else int(self._kept.run[-1])
 
     def measured(self, axis: Axis) -> Records:
         """Run the procedure; all rows. Raises InputError, naming file and line, for code that fails and for a wrong row."""
         self._keep_source()
-        kept = self._on_disk()
-        first = axis.first_run = 1 if kept is None else int(kept.run[-1])
+        kept, first = self._kept, self.first_run
         with ExitStack() as stack, naming_the_line(self._kind, "run"):
             rows = self._procedure.run(axis)
             if isinstance(rows, Generator):
