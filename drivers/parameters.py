@@ -39,6 +39,14 @@ class ParameterInfo:
     wears: bool = False
     description: str = ""
 
+    def outside(self, value: float) -> str | None:
+        """Why a value lies outside the range, None where it lies within."""
+        if self.low is not None and value < self.low:
+            return f"{value!r} is below its limit {self.low:g}"
+        if self.high is not None and value > self.high:
+            return f"{value!r} is above its limit {self.high:g}"
+        return None
+
 
 class DriveParameters(ABC):
     """Parameter access of one open drive. Raises NoAnswerError and LinkLostError from every access."""

@@ -20,6 +20,7 @@ from canopen.network import PeriodicMessageTask
 from canopen.objectdictionary import ODVariable
 from canopen.objectdictionary.eds import import_eds
 
+from drivers.canopen import cia301
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.eds import EdsEntry, decode_eds
 from drivers.canopen.eds_text import parse
@@ -27,7 +28,6 @@ from drivers.canopen.node import HEARTBEAT, NMT
 from drivers.canopen.not_parameters import why_not_written
 from drivers.canopen.sdo import SDO_REQUEST, SDO_RESPONSE
 from drivers.canopen.sync import SYNC
-from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.clock import NS_PER_S
 from drivers.errors import AbortError, InputError, StateError, TransportError
@@ -190,8 +190,8 @@ def dictionary(drive: CanOpenDrive) -> canopen.ObjectDictionary:
         named: canopen.ObjectDictionary = import_eds(io.StringIO(text), drive.node_id)  # type: ignore[no-untyped-call]
         return named
     found = canopen.ObjectDictionary()  # type: ignore[no-untyped-call]
-    for entry in vars(objects).values():
-        if isinstance(entry, Entry) and not entry.subindex:
+    for entry in cia301.NAMED.values():
+        if not entry.subindex:
             variable = ODVariable(entry.name, entry.index, 0)
             variable.data_type = entry.type.code
             found.add_object(variable)

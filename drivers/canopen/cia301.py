@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 
 DEVICE_TYPE = Entry(0x1000, 0, DataType.U32, "device type")
@@ -25,6 +26,8 @@ PRODUCT_CODE = Entry(0x1018, 2, DataType.U32, "product code")
 REVISION = Entry(0x1018, 3, DataType.U32, "revision number")
 SERIAL_NUMBER = Entry(0x1018, 4, DataType.U32, "serial number")
 
+NAMED = {entry.key: entry for entry in (*globals().values(), *vars(objects).values()) if isinstance(entry, Entry)}
+"""These and those of CiA 402, by index and sub-index."""
 SAVE = b"save"
 ON_COMMAND = 0x01
 """Of 1010h:1 and 1011h:1 as read: it is done on command, by a write of `SAVE` or b"load"."""

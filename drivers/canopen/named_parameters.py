@@ -148,11 +148,9 @@ class NamedParameters(DriveParameters):
             raise InputError(f"{entry}: {value!r} is no {kind.value}")
         present = self.read(name)
         data = entry.pack(value)
-        if isinstance(value, int | float) and value != self._found[entry.key]:
-            if found.low is not None and value < found.low:
-                raise InputError(f"{entry}: {value!r} is below its limit {found.low:g}", path=self._path)
-            if found.high is not None and value > found.high:
-                raise InputError(f"{entry}: {value!r} is above its limit {found.high:g}", path=self._path)
+        what = self.describe(name).outside(value) if isinstance(value, int | float) else None
+        if what is not None and value != self._found[entry.key]:
+            raise InputError(f"{entry}: {what}", path=self._path)
         if present == value:
             return False
         self._node.sdo.write_bytes(entry.index, entry.subindex, data, same=entry.same)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
+from drivers.canopen import cia301
 from drivers.canopen.pdo import (
     COB_ID,
     EXISTS_NOT,
@@ -24,22 +25,18 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
-from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, BridgeError, InputError, NoAnswerError, ProtocolError
 from drivers.undo import undo_all
 
 SURVEYED = 4  # of each direction: the predefined connection set
-NAMED: dict[tuple[int, int], Entry] = {
-    (entry.index, entry.subindex): entry for entry in vars(objects).values() if isinstance(entry, Entry)
-}
 BY_BITS = {8: DataType.U8, 16: DataType.U16, 32: DataType.U32, 64: DataType.U64}
 
 
 def entry_of(mapped: int) -> Entry:
-    """The object behind a mapping value; one that is not named in `objects` is taken as unsigned."""
+    """The object behind a mapping value; one that has no name here is taken as unsigned."""
     index, subindex, bits = mapped >> 16, mapped >> 8 & 0xFF, mapped & 0xFF
-    named = NAMED.get((index, subindex))
+    named = cia301.NAMED.get((index, subindex))
     if named is not None and named.bits == bits:
         return named
     return Entry(index, subindex, BY_BITS.get(bits, DataType.U64), "object")

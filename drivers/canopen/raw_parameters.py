@@ -188,13 +188,7 @@ class CanOpenRawParameters(RawParameters):
         if pdo_at(entry.address) is not None:
             return Block.unpack(data).objection()
         value = self.decode(entry, data)
-        low, high = entry.info.low, entry.info.high
-        if isinstance(value, int | float):
-            if low is not None and value < low:
-                return f"{value!r} is below its limit {low:g}"
-            if high is not None and value > high:
-                return f"{value!r} is above its limit {high:g}"
-        return None
+        return entry.info.outside(value) if isinstance(value, int | float) else None
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
         if pdo_at(entry.address) is not None:

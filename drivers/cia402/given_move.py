@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from drivers.cia402 import objects, words
-from drivers.cia402.error_codes import error_text
 from drivers.cia402.modes import Mode
 from drivers.cia402.motion_parts import MotionParts, MoveOrder
 from drivers.cia402.operation_modes import POLL_S
@@ -13,7 +12,7 @@ from drivers.cia402.power import RUN
 from drivers.cia402.state_machine import Control, Status, decode_state
 from drivers.clock import NS_PER_S
 from drivers.drive import FAULTS, DriveState
-from drivers.errors import DriveFaultError, FollowingErrorError, LimitError, ProtocolError
+from drivers.errors import FollowingErrorError, LimitError, ProtocolError
 from drivers.scaling import LARGEST_POSITION
 from drivers.standstill import Standstill
 
@@ -139,9 +138,7 @@ class GivenMove:
             status = image.statusword
             state = decode_state(status)
             if state in FAULTS:
-                code = parts.power.error_code()
-                text = error_text(code) if code else "no error code"
-                raise DriveFaultError(f"{parts.access.name} went into {state.value}: {text}", code)
+                raise parts.power.fault(f" went into {state.value}")
             if path is not None and not path.low <= image.position_counts <= path.high:
                 raise FollowingErrorError(
                     f"{parts.access.name}: it was given the target {self._order.counts} and moves elsewhere, to"

@@ -84,6 +84,11 @@ class PowerStage:
         except (AbortError, NoAnswerError):
             return None
 
+    def fault(self, what: str) -> DriveFaultError:
+        """The error of a drive in a fault, with its own code. what: the sentence's middle."""
+        code = self.error_code()
+        return DriveFaultError(f"{self._name}{what}: {error_text(code) if code else 'no error code'}", code)
+
     # -- sequences of transitions ----------------------------------------------------------------------------------------
     def enable(self, before_power: Callable[[], None]) -> None:
         """Go to ENABLED; `before_power()` is called right before the command that switches on.
@@ -139,10 +144,7 @@ class PowerStage:
         if self.statusword() & KEPT_FAULT == KEPT_FAULT:
             self._clear_kept_fault()
         if state is DriveState.FAULT:
-            code = self.error_code()
-            raise DriveFaultError(
-                f"{self._name}: the fault stays after a reset: {error_text(code) if code else 'no error code'}", code
-            )
+            raise self.fault(": the fault stays after a reset")
 
     def _clear_kept_fault(self) -> None:
         """Shut down and back: without power, from switch on disabled. Raises MotionTimeoutError."""
@@ -167,10 +169,7 @@ class PowerStage:
             if state is goal or state in also:
                 return
             if goal is DriveState.ENABLED and state in FAULTS:
-                code = self.error_code()
-                raise DriveFaultError(
-                    f"{self._name}: fault while enabling: {error_text(code) if code else 'no error code'}", code
-                )
+                raise self.fault(": fault while enabling")
             if deadline.expired:
                 raise MotionTimeoutError(
                     f"{self._name}: not {what} within {timeout_s:.3g} s, it stays in {state.value}{self.why(state, status)}"

@@ -90,6 +90,7 @@ def test_names_and_limits_are_those_of_the_makers_file(simulated: Simulated) -> 
     with Beside(drive) as beside:
         if drive.node.eds is None:
             assert beside.node.object_dictionary[0x6041].name.lower() == "statusword"
+            assert beside.node.object_dictionary[0x1001].name.lower() == "error register"
             return
         theirs = canopen.objectdictionary.eds.import_eds(str(EDS), NODE)
         assert set(theirs) == set(beside.node.object_dictionary)
