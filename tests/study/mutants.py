@@ -109,7 +109,7 @@ ROOMS = {
             "tests/integration/test_parameter_jobs.py",
             *(
                 f"tests/integration/test_params_{name}.py"
-                for name in ("download", "dcf", "lines", "verb", "table_verb")
+                for name in ("download", "dcf", "side_by_side", "verb", "table_verb")
             ),
             # they take most of the time
             "--deselect=tests/integration/test_params_dcf.py::test_all_published_device_dcfs_pass_a_dry_run",
