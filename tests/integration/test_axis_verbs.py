@@ -44,11 +44,7 @@ def test_doctor_finds_a_sound_axis_good(axis: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("key", "value", "words"),
-    [
-        ("wavelength_fraction", "4", "factor of 1/2"),
-        ("wavelength_fraction", "8", "factor of 1/4"),
-        ("direction", "-1", "direction is reversed"),
-    ],
+    [("wavelength_fraction", "8", "factor of 1/4"), ("direction", "-1", "direction is reversed")],
 )
 def test_doctor_names_a_mistake_in_the_instruments_units(
     axis: Path, capsys: pytest.CaptureFixture[str], key: str, value: str, words: str
@@ -234,33 +230,21 @@ def test_every_example_runs_as_shipped(axis: Path, script: str, capsys: pytest.C
 
 
 # -- how to go on ----------------------------------------------------------------------------------------------------------
-def interrupted_after(rows: int, error: BaseException, monkeypatch: pytest.MonkeyPatch) -> None:
-    """From the next row but so many on, appending one fails."""
-    append, left = RowJournal.append, rows
+def interrupted_after(
+    rows: int, error: BaseException, monkeypatch: pytest.MonkeyPatch, campaigns: str = ""
+) -> list[RowJournal]:
+    """From so many rows on of campaigns whose names begin like this, appending one fails; the journals appended to so far."""
+    append, journals = RowJournal.append, list[RowJournal]()
 
     def failing(journal: RowJournal, row: dict[str, float]) -> None:
-        nonlocal left
-        left -= 1
-        if left < 0:
-            raise error
+        if journal.path.parent.name.startswith(campaigns):
+            journals.append(journal)
+            if len(journals) > rows:
+                raise error
         append(journal, row)
 
     monkeypatch.setattr(RowJournal, "append", failing)
-
-
-def interrupted_in(kind: str, rows: int, monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """From so many rows of a campaign of this kind on, appending one to it fails; the numbers of rows left."""
-    append, left = RowJournal.append, []
-
-    def failing(journal: RowJournal, row: dict[str, float]) -> None:
-        if journal.path.parent.name.startswith(kind):
-            left.append(rows - len(left) - 1)
-            if left[-1] < 0:
-                raise KeyboardInterrupt
-        append(journal, row)
-
-    monkeypatch.setattr(RowJournal, "append", failing)
-    return left
+    return journals
 
 
 def last_line(capsys: pytest.CaptureFixture[str]) -> str:
@@ -323,7 +307,7 @@ def test_a_proof_that_broke_off_is_gone_on_with_and_not_measured_anew(
     typed.write_text("position_mm,plus_um,minus_um\n20,1,2\n260,3,4\n")
     assert main(["calibrate", str(axis), "--manual", str(typed)]) == 0
     with monkeypatch.context() as patch:
-        proving = interrupted_in("verify", 3, patch)
+        proving = interrupted_after(3, KeyboardInterrupt(), patch, "verify")
         assert main([verb, str(axis), *options]) == 130
         assert proving
     command = shlex.join(["hil", verb, str(axis), *(one for one in options if one != "--new-zero"), "--resume"])
@@ -346,7 +330,7 @@ def test_a_dense_pass_is_measured_once_wherever_its_calibration_broke_off(
     """An older calibration that is finished is not taken for the one that the dense pass began."""
     assert main(["calibrate", str(axis), "--without-proof"]) in (0, 1)
     with monkeypatch.context() as patch:
-        begun = interrupted_in(part, 3, patch)
+        begun = interrupted_after(3, KeyboardInterrupt(), patch, part)
         assert main(["calibrate", str(axis), "--dense"]) == 130
         assert begun
     command = f"hil calibrate {axis} --dense --resume"
@@ -414,15 +398,6 @@ def test_what_would_be_refused_is_not_called_a_way_to_go_on(
 ) -> None:
     """Spoilt before the first run told how to go on, as somebody at another terminal may; and later, for the list."""
     campaign = axis.parent / "X-campaign/calibrate-001"
-    rows = RowJournal.append
-    left = [3]
-
-    def interrupted(journal: RowJournal, row: dict[str, float]) -> None:
-        left[0] -= 1
-        if left[0] < 0:
-            raise KeyboardInterrupt
-        rows(journal, row)
-
     says: list[str] = []
     end = command_line._end
 
@@ -432,7 +407,7 @@ def test_what_would_be_refused_is_not_called_a_way_to_go_on(
         return end(error, args)
 
     with monkeypatch.context() as patch:
-        patch.setattr(RowJournal, "append", interrupted)
+        interrupted_after(3, KeyboardInterrupt(), patch)
         patch.setattr(command_line, "_end", ended)
         assert main(["calibrate", str(axis)]) == 130
     told = capsys.readouterr().err

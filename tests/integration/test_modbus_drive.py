@@ -9,7 +9,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -124,18 +123,17 @@ def test_opening_writes_nothing(each: Rig) -> None:
         assert all(pdu[0] in (1, 2, 3, 4) for _, pdu in each.server.seen)
 
 
-def test_the_target_is_the_actual_position_before_power_comes_on(each: Rig) -> None:
-    with each.drive as drive:
+def test_the_target_is_the_actual_position_before_power_comes_on() -> None:
+    with rig(VENDOR) as r, r.drive as drive:
         drive.enable()
         drive.start_move(20.0, 100.0)
         drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
         drive.disable()
-        each.servo._actual += 777.0  # somebody turned the screw by hand
-        each.servo._demand += 777.0
+        r.servo._actual += 777.0  # somebody turned the screw by hand
+        r.servo._demand += 777.0
         drive.enable()
-        target = drive.parameters.read("target_position" if isinstance(each.face, Cia402Registers) else "target")
-        assert target == each.servo.position_actual_counts
-        each.clock.sleep_s(0.3)
+        assert drive.parameters.read("target") == r.servo.position_actual_counts
+        r.clock.sleep_s(0.3)
         assert drive.sample().position_load_mm == pytest.approx(20.0777, abs=1e-3)
 
 
@@ -147,20 +145,17 @@ def test_a_target_that_cannot_be_set_keeps_power_off() -> None:
         assert not r.servo.powered
 
 
-def test_everything_changed_is_put_back(each: Rig) -> None:
-    names = (
-        ("mode", "profile_velocity", "profile_acceleration", "profile_deceleration")
-        if isinstance(each.face, Cia402Registers)
-        else ("target_speed", "ramp")
-    )
-    with each.drive as drive:
-        before = drive.parameters.read_many(names)
-        drive.enable()
-        drive.start_move(5.0, 10.0)
-        drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-        assert drive.parameters.read_many(names) != before
-    with each.drive as drive:
-        assert drive.parameters.read_many(names) == before
+def test_everything_changed_is_put_back() -> None:
+    names = ("target_speed", "ramp")
+    with rig(VENDOR) as r:
+        with r.drive as drive:
+            before = drive.parameters.read_many(names)
+            drive.enable()
+            drive.start_move(5.0, 10.0)
+            drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+            assert drive.parameters.read_many(names) != before
+        with r.drive as drive:
+            assert drive.parameters.read_many(names) == before
 
 
 def test_a_sample_is_one_request_per_table(each: Rig) -> None:
@@ -180,14 +175,6 @@ def test_a_move_writes_its_values_in_one_request(each: Rig) -> None:
 
 
 # -- hand-shakes -------------------------------------------------------------------------------------------------------
-def test_the_set_point_bit_is_raised_acknowledged_and_taken_back() -> None:
-    with rig(CIA402) as r, r.drive as drive:
-        drive.enable()
-        r.server.seen.clear()
-        drive.start_move(5.0, 10.0)
-        controlwords = [int.from_bytes(pdu[3:5], "big") for pdu in writes_to(r.server, 0x2100)]
-        assert controlwords == [0x003F, 0x000F]
-        assert drive.parameters.read("statusword") & 0x1000 == 0  # type: ignore[operator]
 
 
 def test_a_set_point_bit_left_standing_is_cleared_first() -> None:
@@ -275,8 +262,7 @@ def test_a_travel_that_the_registers_do_not_hold_is_refused_before_a_request(
 
 
 @pytest.mark.parametrize("name", [CIA402, VENDOR])
-@pytest.mark.parametrize("home_mm", [-5.0, 120.0, 0.9])
-@pytest.mark.parametrize("sign", [1, -1, 0])
+@pytest.mark.parametrize(("home_mm", "sign"), [(-5.0, 1), (120.0, 1), (120.0, -1), (0.9, -1), (0.9, 0)])
 def test_the_place_after_a_homing_is_the_one_that_the_drive_announced(name: str, home_mm: float, sign: int) -> None:
     with rig(name) as r, r.drive as drive:
         homing = drive.map.homing
@@ -299,7 +285,6 @@ def test_the_place_after_a_homing_is_the_one_that_the_drive_announced(name: str,
         with pytest.raises(ProtocolError, match=rf"was to show {home_mm:g} mm and shows"):
             home()
         assert drive.sample().homed is False
-        assert drive.sample().homed is False
 
 
 def test_a_drive_that_says_it_is_there_and_does_not_move_is_found_out() -> None:
@@ -317,8 +302,8 @@ def test_in_position_all_the_time_is_no_arrival(window: int, distance_mm: float)
     with rig(CIA402) as r, r.drive as drive:
         assert isinstance(r.face, Cia402Registers)
         r.face.dictionary.set_number(0x6067, 0, window)
-        word = r.face.profile._true_statusword
-        r.face.profile._true_statusword = lambda: word() | 0x0400  # type: ignore[method-assign]
+        profile = r.face.profile
+        r.face.dictionary.on_read(0x6041, 0, lambda: profile.statusword() | 0x0400)
         drive.enable()
         drive.start_move(distance_mm, 20.0)
         drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
@@ -327,25 +312,16 @@ def test_in_position_all_the_time_is_no_arrival(window: int, distance_mm: float)
         drive.wait_for(lambda sample: sample.homed is True and sample.target_reached, 5.0, "homed")
 
 
-@pytest.mark.parametrize(
-    ("defect", "what"),
-    [
-        (Defect.SETPOINT_NOT_TAKEN, "new target to be accepted not within 0.5 s"),
-        (Defect.ACKNOWLEDGE_STUCK, r"set-point hand-shake to (be idle|end) not within 0.5 s"),
-        (Defect.MODE_STUCK, "change of mode not within 0.5 s"),
-    ],
-)
-def test_a_hand_shake_that_is_not_kept_is_found_out(defect: Defect, what: str) -> None:
+def test_a_mode_that_does_not_change_after_a_homing_ends_without_power() -> None:
     with rig(CIA402) as r, r.drive as drive:
         assert isinstance(r.face, Cia402Registers)
         drive.enable()
-        if defect is Defect.MODE_STUCK:
-            drive.start_homing()
-            drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
-        r.face.profile.defects.add(defect)
-        with pytest.raises(MotionTimeoutError, match=what):
+        drive.start_homing()
+        drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
+        r.face.profile.defects.add(Defect.MODE_STUCK)
+        with pytest.raises(MotionTimeoutError, match="change of mode not within 0.5 s"):
             drive.start_move(50.0, 10.0)
-        assert (r.servo.powered, r.servo.velocity_actual_counts_s) == (False, 0)  # it may have set off
+        assert (r.servo.powered, r.servo.velocity_actual_counts_s) == (False, 0)
 
 
 def test_small_steps_are_quick_even_inside_the_drives_window(each: Rig) -> None:
@@ -435,12 +411,9 @@ def test_homing_attained_means_something_in_homing_mode_only() -> None:
         assert drive.sample().position_load_mm == pytest.approx(0.0, abs=1e-3)
 
 
-def test_a_homing_that_fails_is_raised_once(each: Rig) -> None:
-    if isinstance(each.face, Cia402Registers):
-        each.face.dictionary.set_number(0x6098, 0, 11)  # no such method here
-    else:
-        each.face._kept["origin_method"] = 11
-    with each.drive as drive:
+def test_a_homing_that_fails_is_raised_once() -> None:
+    with rig(VENDOR) as r, r.drive as drive:
+        drive.parameters.write("origin_method", 11)  # no such method here
         drive.enable()
         drive.start_homing()
         with pytest.raises(DriveFaultError, match="homing failed"):
@@ -546,30 +519,6 @@ def test_a_quick_stop_that_is_not_obeyed_is_told() -> None:
         r.face.profile.defects.clear()
 
 
-def test_a_stop_that_another_thread_sends_ends_the_order_under_way() -> None:
-    """What follows the start of a move enables operation: in "quick stop active" that would let the axis go on."""
-    with rig(CIA402) as r, r.drive as drive:
-        drive.enable()
-        wait_for = drive.orders.wait_for
-
-        def stop_meanwhile(*args: Any) -> None:
-            wait_for(*args)
-            if args[1] == "new target to be accepted":
-                drive.send_stop()
-
-        drive.orders.wait_for = stop_meanwhile  # type: ignore[method-assign, assignment]
-        with pytest.raises(StateError, match="was told to stop; it takes orders again once it is enabled anew"):
-            drive.start_move(200.0, 50.0)
-        drive.sample()  # answered after the stop that was posted
-        controlwords = [int.from_bytes(pdu[3:5], "big") for pdu in writes_to(r.server, 0x2100)]
-        assert not any(word & 0xF == 0xF for word in controlwords[controlwords.index(2) :])
-        drive.orders.wait_for = wait_for  # type: ignore[method-assign]
-        with pytest.raises(StateError):
-            drive.start_move(10.0, 50.0)
-        drive.enable()
-        drive.start_move(10.0, 50.0)
-
-
 def test_a_stop_leaves_the_other_bits_of_its_register_alone(tmp_path: Path) -> None:
     source = load_drive_map(CIA402).registers.path.read_text(encoding="utf-8")
     whole = 'write = [{ register = "controlword", value = 0x0002 }]'
@@ -594,32 +543,6 @@ def unsteady(r: Rig, counts: int) -> None:
     r.face.dictionary.set_number(0x605A, 0, 6)  # it stays in "quick stop active"
     r.face.dictionary.on_read(0x606C, 0, lambda: 777)
     r.face.dictionary.on_read(0x6064, 0, lambda: r.servo.position_actual_counts + counts * next(sign))
-
-
-def test_an_axis_whose_velocity_is_never_zero_is_known_to_stand_by_its_position() -> None:
-    with rig(CIA402) as r, r.drive as drive:
-        drive.enable()
-        drive.start_move(100.0, 100.0)
-        r.clock.sleep_s(0.5)
-        unsteady(r, 1)
-        start_ns = r.clock.now_ns()
-        drive.disable()
-        assert not r.servo.powered
-        assert r.clock.now_ns() - start_ns < 500_000_000
-        assert stops(r) == 0
-
-
-def test_a_velocity_register_that_is_stuck_at_zero_is_not_believed() -> None:
-    with rig(CIA402) as r, r.drive as drive:
-        assert isinstance(r.face, Cia402Registers)
-        drive.enable()
-        drive.start_move(100.0, 100.0)
-        r.clock.sleep_s(0.5)
-        r.face.dictionary.on_read(0x606C, 0, lambda: 0)
-        speeds = off_at(r)
-        drive.disable()
-        assert len(speeds) == 1
-        assert abs(speeds[0]) < 2500  # 0.25 mm/s
 
 
 def off_at(r: Rig) -> list[int]:

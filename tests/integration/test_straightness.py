@@ -17,7 +17,7 @@ from support import bench_axis
 from support.two_axes import lay_out_bent
 
 from drivers.drive import DriveState
-from drivers.errors import BridgeError, CorrectionBoundError, DriveFaultError, LimitError, StateError
+from drivers.errors import BridgeError, DriveFaultError, LimitError, StateError
 from drivers.set_points import SetPointSettings
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
@@ -84,9 +84,10 @@ def test_measured_proven_stored_and_in_force_at_other_targets(tmp_path: Path) ->
 
 def test_the_circle_streams_it_to_the_other_axis(tmp_path: Path) -> None:
     """Over CANopen: the same tables, with the straightness beside them and without, over 200 mm of X."""
-    x, y = lay_out_bent(tmp_path, "canopen", sections=12)
-    assert main(["calibrate", str(x)]) == main(["calibrate", str(y)]) == 0
-    circle = ["circle", str(x), str(y), "--centre", "240", "200", "--radius", "100", "--feed", "1500"]
+    x, y = lay_out_bent(tmp_path, "canopen", other="ideal", sections=7)
+    assert main(["calibrate", str(x), "--without-proof"]) == 0
+    how = "--centre 240 200 --radius 100 --feed 1500 --period-ms 10"
+    circle = ["circle", str(x), str(y), *how.split()]
     tables = run_json(circle, tmp_path / "tables.json")["circles"]["corrected"]
     assert main(["straightness", str(x)]) == 0
     straight = run_json(circle, tmp_path / "straight.json")["circles"]["corrected"]
@@ -285,15 +286,6 @@ def test_the_other_axis_is_without_power_while_a_person_works_in_the_machine(tmp
             assert session.cross.drive.sample().state is not DriveState.ENABLED
         assert session.cross.ready
         session.move_to(60.0)
-
-
-def test_a_command_of_the_other_axis_beyond_its_bound_is_not_given(tmp_path: Path) -> None:
-    x, y = lay_out_bent(tmp_path, other="ideal")
-    y.write_text(y.read_text().replace("[correction]", "[correction]\nmax_correction_um = 8.0"))
-    with connected_across(load_axis(x)) as machine:
-        machine.session.prepare()
-        with pytest.raises(CorrectionBoundError, match="to axis Y"):
-            machine.session.compensation = table_of_truth()
 
 
 def test_after_a_lost_signal_both_axes_find_their_places_again(tmp_path: Path) -> None:

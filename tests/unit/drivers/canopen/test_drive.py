@@ -235,19 +235,6 @@ def test_a_weak_quick_stop_is_pointed_out(make: MakeRig) -> None:
 # -- enabling ------------------------------------------------------------------------------------------------------------
 
 
-def test_the_target_is_the_actual_position_before_power_comes(make: MakeRig) -> None:
-    """A stale 607Ah in the drive must not become a jump."""
-    rig = make(parameters={(0x607A, 0): 1_500_000})
-    drive = rig.opened()
-    seen: list[tuple[int, int]] = []
-    rig.bench.slave.dictionary.on_write(0x6040, 0, lambda word: seen.append((word, rig.number(0x607A))))
-    drive.enable()
-    assert seen[-1] == (0x0F, 0)
-    drive.set_mode(Mode.CYCLIC_POSITION)
-    rig.run(0.5)
-    assert drive.sample().position_load_mm == 0.0
-
-
 def test_a_brake_that_takes_its_time(make: MakeRig) -> None:
     rig = make(power=PowerTimes(enable_s=1.0))
     rig.bench.slave.profile.brake_delay_ns = 600_000_000
@@ -268,19 +255,6 @@ def test_what_keeps_a_drive_from_being_enabled_is_named(make: MakeRig, fault: Ca
     drive = make(CanFault(fault), power=PowerTimes(enable_s=0.5)).opened()
     with pytest.raises(MotionTimeoutError, match=words):
         drive.enable()
-
-
-def test_a_fault_that_stays_is_named(make: MakeRig) -> None:
-    rig = make(CanFault(K.FAULT_STAYS))
-    drive = rig.opened()
-    rig.bench.servo.raise_fault(0x3210)
-    rig.run(0.1)
-    with pytest.raises(
-        DriveFaultError, match=r"the fault stays after a reset: DC link over-voltage \(3210h\)"
-    ) as caught:
-        drive.reset_fault()
-    assert caught.value.code == 0x3210
-    assert rig.number(0x6040) == 0
 
 
 # -- quick stop endings ----------------------------------------------------------------------------------------------------
