@@ -24,6 +24,7 @@ from hil.figures.uncertainty import Budget
 from hil.records.files import parse_json
 from hil.records.journal import FINISHED, name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
+from hil.report.command_options import add_parser
 from hil.report.issue import write_certificates
 from hil.report.job import now, write_report
 from hil.ui.terminal.output import write_json
@@ -127,6 +128,19 @@ def run(args: argparse.Namespace) -> int:
     for name, said in bad.items():
         print(f"{name}: signature {said}")
     return 1 if bad or failed else 0
+
+
+def certify(axis_file: Path, records: Path, certificate: Path, key_password: str | None) -> None:
+    """Write the signed certificate, PDF, of a record file, as `hil report --certificate` does. Raises as `run`.
+
+    key_password: of the builder's key; None: as the verb finds it
+    """
+    parser = argparse.ArgumentParser()
+    add_parser(parser.add_subparsers())
+    if certificate.suffix.lower() != ".pdf":
+        raise InputError("is no name of a certificate, expected one ending in .pdf", path=certificate)
+    words = ["report", str(records), "--axis-file", str(axis_file), "--certificate", str(certificate)]
+    run(parser.parse_args(words, argparse.Namespace(key_password=key_password)))
 
 
 def _joined(first: NamedCampaign, second: NamedCampaign) -> NamedCampaign:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 from functools import partial
+from pathlib import Path
 
-from hil.ui.terminal.options import Later, add_certificate_options, add_json_option, add_limit_option, ending
+from hil.ui.terminal.options import KEY, Later, add_json_option, add_limit_option
 
 EXAMPLE = """\
 example:
@@ -89,6 +90,46 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         " (needs the report-pdf extra: pip install 'hil[report-pdf]')",
     )
     parser.add_argument("--png", metavar="DIR", help="also write every drawing as a PNG into DIR (made if need be)")
-    add_certificate_options(parser)
+    _add_certificate_options(parser)
     add_json_option(parser)
     parser.set_defaults(run=Later("hil.report.command"))
+
+
+def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
+    """Options for certificates."""
+    group = parser.add_argument_group(
+        "certificates (with --axis-file, whose [certificate] names machine, drive, instrument, parties)"
+    )
+    group.add_argument(
+        "--certificate",
+        metavar="FILE.pdf",
+        type=partial(ending, ".pdf"),
+        help="write a signed certificate of the last campaign, FILE.pdf and FILE.pdf.sig",
+    )
+    group.add_argument(
+        "--dcc",
+        metavar="FILE.xml",
+        type=partial(ending, ".xml"),
+        help="write it as a Digital Calibration Certificate (PTB's DCC 3), FILE.xml and FILE.xml.sig",
+    )
+    group.add_argument(
+        "--result",
+        metavar="OUT.json",
+        help="instead of records: the result of `hil circle --json` or `hil probe measure --json`",
+    )
+    group.add_argument("--measured", metavar="YYYY-MM-DD", help="day of the measurement, where the files do not say it")
+    group.add_argument(
+        "--key", metavar="BUILDER.key", help="the builder's private key (default: builder_key of the axis file)"
+    )
+    group.add_argument(
+        "--key-password-file",
+        metavar="F",
+        help=f"file whose first line is the key's password (else ${KEY}, else key_password_file of the axis file, else asked)",
+    )
+
+
+def ending(suffix: str, name: str) -> str:
+    """The name of a file of one kind, as the type of an option."""
+    if Path(name).suffix.lower() != suffix:
+        raise argparse.ArgumentTypeError(f"is {name!r}, expected a name ending in {suffix}")
+    return name

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 from abc import ABC, abstractmethod
-from argparse import Namespace
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -101,13 +100,10 @@ class Result(ABC):
         rows = self._certified()
         if rows is None:
             raise CapabilityError(f"a {type(self).__name__} is not certified: verify() is")
-        from hil.app.main import build_parser  # noqa: PLC0415  (plots are slow to import)
+        from hil.report.command import certify  # noqa: PLC0415  (plots are slow to import)
 
-        words = ["report", str(rows), "--axis-file", str(self.axis.path), "--certificate", str(path)]
-        given = Namespace(key_password=self._key_password())
-        arguments = build_parser(words).parse_args(words, given)
         with redirect_stdout(io.StringIO()):
-            arguments.run(arguments)
+            certify(self.axis.path, rows, Path(path), self._key_password())
         return Path(path)
 
     def _page(self) -> str:

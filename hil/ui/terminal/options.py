@@ -5,9 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 from dataclasses import dataclass
-from functools import partial
 from importlib import import_module
-from pathlib import Path
 
 from drivers.errors import InputError
 from hil.correction import TABLES
@@ -109,39 +107,6 @@ def add_key_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
     )
 
 
-def add_certificate_options(parser: argparse.ArgumentParser) -> None:
-    """The options of `hil report` for certificates."""
-    group = parser.add_argument_group(
-        "certificates (with --axis-file, whose [certificate] names machine, drive, instrument, parties)"
-    )
-    group.add_argument(
-        "--certificate",
-        metavar="FILE.pdf",
-        type=partial(ending, ".pdf"),
-        help="write a signed certificate of the last campaign, FILE.pdf and FILE.pdf.sig",
-    )
-    group.add_argument(
-        "--dcc",
-        metavar="FILE.xml",
-        type=partial(ending, ".xml"),
-        help="write it as a Digital Calibration Certificate (PTB's DCC 3), FILE.xml and FILE.xml.sig",
-    )
-    group.add_argument(
-        "--result",
-        metavar="OUT.json",
-        help="instead of records: the result of `hil circle --json` or `hil probe measure --json`",
-    )
-    group.add_argument("--measured", metavar="YYYY-MM-DD", help="day of the measurement, where the files do not say it")
-    group.add_argument(
-        "--key", metavar="BUILDER.key", help="the builder's private key (default: builder_key of the axis file)"
-    )
-    group.add_argument(
-        "--key-password-file",
-        metavar="F",
-        help=f"file whose first line is the key's password (else ${KEY}, else key_password_file of the axis file, else asked)",
-    )
-
-
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
     """`--record` and `--replay`."""
     recording = parser.add_mutually_exclusive_group()
@@ -236,10 +201,3 @@ def parse_runs(text: str) -> tuple[int, ...]:
             raise argparse.ArgumentTypeError(f"{part!r} is no run of a campaign, expected numbers below 100000")
         runs.extend(range(int(first), int(last or first) + 1))
     return tuple(runs)
-
-
-def ending(suffix: str, name: str) -> str:
-    """The name of a file of one kind, as the type of an option."""
-    if Path(name).suffix.lower() != suffix:
-        raise argparse.ArgumentTypeError(f"is {name!r}, expected a name ending in {suffix}")
-    return name
