@@ -1,1 +1,1 @@
-"""Terminal, screen and report: their shared parts, and the program's entry point."""
+"""The program: its verbs and their errors, `hil demo` and `hil sim`, and the server of the screen."""

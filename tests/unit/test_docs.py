@@ -6,6 +6,7 @@ import contextlib
 import io
 import re
 import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -146,3 +147,19 @@ def test_every_row_of_what_is_proven_has_its_command() -> None:
 def test_the_procedure_of_the_page_on_scripts_is_the_example() -> None:
     shown = next(block for block in blocks(text_of("scripts")) if block.info == ("python", "creep.py"))
     assert (ROOT / "hil/examples/creep.py").read_text(encoding="utf-8").endswith(shown.text)
+
+
+def test_the_map_of_the_house_is_the_contract() -> None:
+    """Rooms in the order of the layers; those of one layer in any order."""
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    (rooms,) = (one for one in contracts if one["type"] == "layers")
+    assert "ignore_imports" not in rooms
+    plan = text_of("house").split("```")[1]
+    drawn = re.findall(r"^  (\w+)/|  (\w+)/  ", plan, re.MULTILINE)
+    found = iter("".join(one) for one in drawn)
+    for layer in rooms["layers"]:
+        names = layer.split(" | ")
+        assert sorted(next(found) for _ in names) == sorted(names)
+    assert not list(found)
