@@ -319,7 +319,7 @@ def test_a_mode_that_does_not_change_after_a_homing_ends_without_power() -> None
         drive.start_homing()
         drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
         r.face.profile.defects.add(Defect.MODE_STUCK)
-        with pytest.raises(MotionTimeoutError, match="change of mode not within 0.5 s"):
+        with pytest.raises(MotionTimeoutError, match="change of mode not within"):
             drive.start_move(50.0, 10.0)
         assert (r.servo.powered, r.servo.velocity_actual_counts_s) == (False, 0)
 
