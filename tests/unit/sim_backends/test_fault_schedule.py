@@ -24,3 +24,11 @@ def test_next_change() -> None:
     schedule = FaultSchedule([ONCE, LONG])
     assert [schedule.next_change_s(t) for t in (0.0, 1.0, 2.0, 4.0)] == [1.0, 2.0, 4.0, math.inf]
     assert FaultSchedule().next_change_s(0.0) == math.inf
+
+
+def test_faults_that_are_added_while_it_runs_happen_beside_those_before() -> None:
+    schedule = FaultSchedule([Fault(FaultKind.RESTART, 1.0), Fault(FaultKind.BEAM_LOST, 5.0, 1.0)])
+    assert [fault.kind for fault in schedule.active(2.0)] == [FaultKind.RESTART]
+    schedule.add([Fault(FaultKind.RESTART, 0.5), Fault(FaultKind.JAM, 2.5, 3.0)])
+    assert [fault.at_s for fault in schedule.active(3.0)] == [0.5, 2.5], "the earlier one is over, the added ones begin"
+    assert [fault.kind for fault in schedule.active(5.2)] == [FaultKind.JAM, FaultKind.BEAM_LOST]
