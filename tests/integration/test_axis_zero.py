@@ -82,7 +82,7 @@ def site(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Make]:
         parameters: BenchParameters = replace(known_bench(machine, 5), homing_method=37)
         bench = Bench(parameters)
         benches.append(bench)
-        path = bench_axis.lay_out(tmp_path, machine=machine, sections=3, runs=1)
+        path = bench_axis.lay_out(tmp_path, machine=machine, sections=2, runs=1)
         made = METHODS[homing]
         keys = "" if made is None else f"homing = {{ method = {made[0]}, home_position_mm = {made[1]} }}"
         text = path.read_text().replace("seed = 5", f'seed = 5\nface = "{face}"\n{keys}')
@@ -150,7 +150,7 @@ def test_resume_goes_on_in_the_same_zero_or_not_at_all(site: Make, homing: str, 
             with pytest.raises(
                 KeyboardInterrupt
             ):  # on the same connection, so that with 37 there is something to resume
-                run_verification(machine, here.store().load(), stopping_after(2))
+                run_verification(machine, here.store().load(), stopping_after(1))
     else:
         with here.machine() as machine, pytest.raises(KeyboardInterrupt):
             VERBS[verb](here, machine, stopping_after(4), False)
