@@ -24,7 +24,7 @@
         ├── HeldUnderPowerError   an axis that gravity can move was not shown at rest; it stays under power instead of being disabled
         └── MeasurementLostError  the instrument's signal is gone (beam lost, stale reading)
 
-Callers catch the branch they can do something about; `hil.app.terminal` turns each into one line on stderr.
+Callers catch the branch they can do something about; `hil.app.main` turns each into one line on stderr.
 """
 
 from __future__ import annotations

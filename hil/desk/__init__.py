@@ -7,5 +7,5 @@ live         the state shown of an axis            progress     the state shown 
 stop         the operator's stop, and pacing       standstill   how the axis came to rest after it
 asking       a job's questions to the operator     unfinished   interrupted work in the axis's folder
 event_log    what happened at an axis              error_log    program errors
-worker_process  computations in a process of their own
+worker_process, worker_program  computations in a process of their own
 """
