@@ -87,4 +87,4 @@ def test_a_diagnosis_names_hidden_rivals_and_the_run_that_tells_them_apart(tmp_p
     assert asked["adds"] == ["load_kg"]
     assert asked["person"]
     apart = {frozenset(pair["effects"]): pair["discrimination"] for pair in asked["tells_apart"]}
-    assert apart[frozenset({"backlash", "load_deflection"})] == 15.0
+    assert apart[frozenset({"backlash", "load_deflection"})] == 30.0

@@ -234,10 +234,34 @@ class Search:
         worth = self.scored(parts)[0].log_p
         if worth - self.scored(others)[0].log_p < USUAL.named:
             return others
+        together = self._effects_instead(others, part, worth) if _is_flexible(part) else None
+        if together is not None:
+            return together
         for best in self.alternatives(others)[:2]:
             if best.log_p > worth and not self.rests_on_few(others, best):
                 return (*others, best.part)
         return None
+
+    def _effects_instead(self, others: tuple[Part, ...], part: Part, worth: float) -> tuple[Part, ...] | None:
+        """Two effects in the place of a flexible part that holds both, where they are likelier than this.
+
+        Each may show beside it, or beside a course of time, and not alone.
+        """
+        current = others if part.is_remainder else (*others, part)
+        for _ in range(3):
+            best = next(iter(self.alternatives(current, remainder=False)), None)
+            if best is None:
+                return None
+            current = (*current, best.part)
+            for trial in (current, tuple(one for one in current if one in others or not _is_flexible(one))):
+                if part not in trial and self.scored(trial)[0].log_p > worth:
+                    return trial
+        return None
+
+
+def _is_flexible(part: Part) -> bool:
+    """Whether a part follows any course: a remainder, or a reading that wanders."""
+    return part.is_remainder or (part.of is not None and part.of.form.shrunk)
 
 
 def _as_good_as(ranked: Ranked, part: Part) -> Ranked:

@@ -127,7 +127,8 @@ HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. The machines are drawn by a generator that
 shares no code with the diagnosis, from seed 810650 on. Those of 810650 to 810675 are of earlier states of it, from 810676
-on of the present one; 810653 and 810654 of `missing` were looked at and are no proof. Intervals are Wilson's at 95 %.
+on of the present one, of which only `pairs` tried two effects in the place of one part that follows any course. 810653 and 810654
+of `missing` were looked at and are no proof. Intervals are Wilson's at 95 %.
 
 | Command | What it does |
 |---|---|
