@@ -124,15 +124,14 @@ def test_a_wait_is_bounded(pair: Pair) -> None:
 
 
 class _Operator:
-    """Presses the stop at the first moment that somebody asks after `press_s`; real time passes as it does."""
+    """Presses the stop when it is asked for the third time, however late on a busy computer; real time passes as it does."""
 
-    def __init__(self, press_s: float) -> None:
-        self._press_at = time.monotonic() + press_s
-        self.asked = 0
+    def __init__(self) -> None:
+        self._left = 3
 
     def real(self, duration_s: float) -> None:
-        self.asked += 1
-        if time.monotonic() >= self._press_at:
+        self._left -= 1
+        if not self._left:
             raise KeyboardInterrupt
         time.sleep(duration_s)
 
@@ -143,7 +142,7 @@ class _Operator:
 @pytest.mark.parametrize("flood", [False, True], ids=["dead-node", "flood"])
 def test_the_operator_is_heard_while_frames_are_waited_for(channel: str, flood: bool) -> None:
     """A node that does not answer, alone or beside one that never falls silent."""
-    operator = _Operator(0.05)
+    operator = _Operator()
     with (
         CanLink.open(WallClock(operator), interface="virtual", channel=channel) as link,
         can.Bus(interface="virtual", channel=channel) as other,
@@ -155,7 +154,6 @@ def test_the_operator_is_heard_while_frames_are_waited_for(channel: str, flood: 
         with pytest.raises(KeyboardInterrupt):
             link.wait(lambda: False, 30.0)
         assert time.monotonic() - start_s < 5.0
-        assert operator.asked > 1
 
 
 def test_a_flood_ends_neither_a_wait_nor_a_look_late(pair: Pair) -> None:
