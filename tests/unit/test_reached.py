@@ -58,6 +58,10 @@ IN_TESTS = (
 """Benches with which tests put simulated drives on a bus."""
 
 
+NAMED = re.compile(r"(?:[\w.]+:)?([^\W\d]\w*)")
+"""A name as text: of getattr, in tables of names, and with its module, as what a process of its own calls."""
+
+
 @dataclass(eq=False)
 class Part:
     """A function, or a class with what stands in it beside its methods; without a name, what stands in a module."""
@@ -79,8 +83,8 @@ def said(nodes: Iterable[ast.AST | None]) -> set[str]:
                 continue
             case ast.Name(id=name) | ast.Attribute(attr=name):
                 names.add(name)
-            case ast.Constant(value=str(name)) if name.isidentifier():  # of getattr, and in tables of names
-                names.add(name)
+            case ast.Constant(value=str(text)) if named := NAMED.fullmatch(text):
+                names.add(named[1])
         names |= said(ast.iter_child_nodes(node))
     return names
 
