@@ -83,7 +83,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish(session: pytest.Session) -> None:
-    """Garbage is not looked for while 9000 tests are collected, nor later among what that made: a quarter of the time of
+    """Garbage is not looked for while 9000 tests are collected, nor later among what that made: a tenth of the time of
     collecting, and a twentieth of the time of all tests.
 
     Only in the processes of xdist: study/mutants.py asks the collector for functions.
