@@ -21,7 +21,7 @@ from hil.diagnosis.report.mean_curves import MeanCurve, mean_curve
 from hil.diagnosis.report.spectrum import EXCEEDED, Spectrum, spectrum
 from hil.records.rows import Floats
 from hil.ui.report.blocks import Block, DataTable, Drawing, Heading, said
-from hil.ui.report.data import plain
+from hil.ui.report.markup import plain
 from hil.ui.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
 from hil.ui.report.views import label_of, list_of, object_of, objects_of, value_of
 

@@ -5,7 +5,6 @@ Nothing here measures, fits or draws.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -21,13 +20,6 @@ from hil.records.rows import Floats, Records
 
 if TYPE_CHECKING:  # drawings are slow to import
     from hil.ui.report.blocks import Block
-
-_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
-
-
-def plain(value: object) -> str:
-    """Any value as text. Control characters and code points that are no characters become U+FFFD."""
-    return _UNPRINTABLE.sub("\ufffd", str(value))
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 
 from hil.records.rows import Floats
-from hil.ui.report.data import plain
+
+_UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f\ud800-\udfff\ufffe\uffff]")
+
+
+def plain(value: object) -> str:
+    """Any value as text. Control characters and code points that are no characters become U+FFFD."""
+    return _UNPRINTABLE.sub("\ufffd", str(value))
+
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:"
 

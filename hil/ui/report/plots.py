@@ -19,7 +19,8 @@ from matplotlib.ticker import MaxNLocator
 from hil.correction.tables import Band
 from hil.figures.iso230 import Iso230
 from hil.records.rows import Floats, Records
-from hil.ui.report.data import NamedCampaign, history, plain
+from hil.ui.report.data import NamedCampaign, history
+from hil.ui.report.markup import plain
 from hil.ui.report.svg import RC, Ground, Theme, figure_on, fresh, label_axes
 
 MANY_POINTS = 4000

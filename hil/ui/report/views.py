@@ -15,7 +15,8 @@ import numpy as np
 
 from hil.effects import Estimate
 from hil.records.rows import Floats, Records
-from hil.ui.report.data import NamedCampaign, history, plain
+from hil.ui.report.data import NamedCampaign, history
+from hil.ui.report.markup import plain
 
 _COLUMNS: Mapping[str, tuple[str, ...]] = {
     "thermal_expansion": ("temp_", "time_s"),

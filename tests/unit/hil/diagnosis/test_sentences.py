@@ -22,6 +22,7 @@ from hil.diagnosis.page_data import ShownFinding, read_shown
 from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
+from hil.diagnosis.stored import stored_beside
 from hil.effects import ALL, Effect, Form, Term, survey_of
 from hil.effects.history import complete
 from hil.effects.non_parametric import NonParametric, fine_form, smooth_form, spread_of
@@ -243,10 +244,11 @@ def test_screen_and_report_say_the_ends_where_plus_minus_does_not_say_as_much(
         "parameters": {"drift_um": {"value": 4.7, "std": 0.3, **ends}},
         "explanation": "It drifts.",
     }
-    stored = tmp_path / "x.diagnosis.json"
+    rows_file = tmp_path / "x.csv"
+    rows_file.touch()
     drawn = {"forms": [{"name": "warming since the start", "inputs": ["time_s"]}]}
-    stored.write_text(json.dumps({"findings": [told], "drawn": drawn}))
-    (shown,) = read_shown(cast(Measurement, SimpleNamespace(diagnosis=stored, paths=()))).findings
+    stored_beside([rows_file]).write_text(json.dumps({"findings": [told], "drawn": drawn}))
+    (shown,) = read_shown(cast(Measurement, SimpleNamespace(paths=(rows_file,)))).findings
     ((name, value, std),) = shown.parameters
     said = Texts("en").estimate(value, std, "µm", shown.intervals.get(name))
     assert said == panel
