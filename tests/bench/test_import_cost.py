@@ -12,7 +12,18 @@ from support.bench import Record, installed, median_ratio, row
 
 from hil.app.main import VERBS
 
-HEAVY = ("numpy", "scipy", "matplotlib", "can", "canopen", "pymodbus", "cryptography", "rich", "nicegui", "msgspec")
+HEAVY = (
+    "numpy",
+    "scipy.special",
+    "matplotlib",
+    "can",
+    "canopen",
+    "pymodbus",
+    "cryptography",
+    "rich",
+    "nicegui",
+    "msgspec",
+)
 TIMES = 3
 LOOK = (
     "import sys; from hil.app.main import build_parser\n"
