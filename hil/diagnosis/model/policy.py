@@ -9,8 +9,8 @@ from dataclasses import dataclass
 class Policy:
     """Log odds are natural logarithms.
 
-    named: log odds, over the whole catalogue and its grids, from which a part is there (150 to 1)
-    richer: prior log odds against a richer form, a further term of an effect that is there, and physics out of its range
+    named: log odds, its grid paid for, from which a part is there (150 to 1)
+    richer: prior log odds against a richer form and a further term of an effect that is there; physics out of its range has twice that
     temperature: divisor of log odds before they become a confidence, since no form is exactly right
     unlogged: prior log odds against a cause through a column that was not recorded
     share: part of an effect's RMS that is too little to be told apart: a remainder in its own columns below it is the error of its
