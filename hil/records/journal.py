@@ -102,13 +102,17 @@ class RowJournal(AppendedFile):
             return None
         return parse_csv(read_text(self.path), self.path)
 
+    def check(self, row: Mapping[str, float]) -> None:
+        """Raises InputError for a row that could not be read back."""
+        Records.of({name: [row[name]] for name in self.names})
+
     def append(self, row: Mapping[str, float]) -> None:
         """Writes one row; on return it is on disk.
 
         Raises InputError, with the file as it was, for a row that could not be read back and when the disk does not
         take it.
         """
-        Records.of({name: [row[name]] for name in self.names})
+        self.check(row)
         self._write((format_row(row, self.names) + "\n").encode())
         self._rows += 1
 

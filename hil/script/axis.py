@@ -42,6 +42,9 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from hil.script.procedure import Procedure
     from sim_backends.bench import Bench
 
+ROUNDED = 1e-9
+"""What a place (mm) and, as a share, a velocity may be beyond a planned move: they are sums and quotients of set-points."""
+
 
 def open_axis(
     path: str | Path,
@@ -310,7 +313,9 @@ class Axis:
         """Raises LimitError for a move that a running procedure has not planned."""
         moves = self._moves
         if moves is not None and not any(
-            one.low_mm <= position_mm <= one.high_mm and velocity_mm_s <= one.velocity_mm_s for one in moves
+            one.low_mm - ROUNDED <= position_mm <= one.high_mm + ROUNDED
+            and velocity_mm_s <= one.velocity_mm_s * (1.0 + ROUNDED)
+            for one in moves
         ):
             raise LimitError(f"{position_mm:g} mm at {velocity_mm_s:g} mm/s is no move that plan() names")
 

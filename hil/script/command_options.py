@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 
+from drivers.errors import InputError
 from hil.ui.terminal.options import READING, Later, add_axis_arguments, add_zero_options
 
 EXAMPLE = """\
@@ -51,10 +52,14 @@ def add_options_of(argv: Sequence[str], parser: argparse.ArgumentParser) -> None
     path = next((word for word in argv if word.endswith(".py") and not word.startswith("-")), None)
     if path is None:
         return
-    from hil.script.procedure_file import load_procedure, parameters_of  # noqa: PLC0415  (loads the user's code)
+    from hil.script.procedure_file import class_line, load_procedure, parameters_of  # noqa: PLC0415  (loads the user's code)
 
     procedure = load_procedure(path)
     group = parser.add_argument_group(f"parameters of {procedure.__name__}")
     for one in parameters_of(procedure):
-        one.add_to(group)
+        try:
+            one.add_to(group)
+        except argparse.ArgumentError as error:
+            what = f"declares {one.name}, and hil run has an option of this name"
+            raise InputError(what, path=path, line=class_line(procedure, one.name)) from error
     parser.set_defaults(procedure_class=procedure, resumes=procedure.kind)

@@ -39,7 +39,7 @@ class Procedure(ABC):
 
     @abstractmethod
     def plan(self, axis: Axis) -> Iterable[Move]:
-        """The moves that `run` makes, each with its ends and its highest velocity; `run` cannot move the axis outside them.
+        """The moves that `run` makes, each with its ends and its highest velocity; `run` can move the axis to no place outside them.
 
         axis: not connected; its file is `axis.file`.
         """

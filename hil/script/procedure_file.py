@@ -29,15 +29,15 @@ def load_procedure(path: str | Path) -> type[Procedure]:
         raise InputError(f"holds no procedure, expected {EXPECTED}", path=path)
     if len(found) > 1:
         names = " and ".join(one.__name__ for one in found)
-        raise InputError(f"holds {names}, expected one class of hil.Procedure", path=path, line=_class_line(found[1]))
+        raise InputError(f"holds {names}, expected one class of hil.Procedure", path=path, line=class_line(found[1]))
     procedure = found[0]
     lacking = " and ".join(f"{name}()" for name in sorted(procedure.__abstractmethods__))
     if lacking:
-        raise InputError(f"{procedure.__name__} has no {lacking}", path=path, line=_class_line(procedure))
+        raise InputError(f"{procedure.__name__} has no {lacking}", path=path, line=class_line(procedure))
     return procedure
 
 
-def _class_line(procedure: type[Procedure], attribute: str = "") -> int | None:
+def class_line(procedure: type[Procedure], attribute: str = "") -> int | None:
     """The line of a class in its file, or of one of its attributes."""
     for node in ast.walk(ast.parse(read_text(Path(file_of(procedure))))):
         if isinstance(node, ast.ClassDef) and node.name == procedure.__name__:
@@ -111,11 +111,11 @@ def parameters_of(procedure: type[Procedure]) -> tuple[Parameter, ...]:
         hints = get_type_hints(procedure)
     except (NameError, TypeError) as error:
         what = f"{procedure.__name__} has a parameter of an unknown type: {in_short(error)}"
-        raise InputError(what, path=shown_file(procedure), line=_class_line(procedure)) from error
+        raise InputError(what, path=shown_file(procedure), line=class_line(procedure)) from error
     found = []
     for one in fields(procedure):  # type: ignore[arg-type]
         kind, usual = KINDS.get(hints[one.name]), one.default
-        place: dict[str, Any] = {"path": shown_file(procedure), "line": _class_line(procedure, one.name)}
+        place: dict[str, Any] = {"path": shown_file(procedure), "line": class_line(procedure, one.name)}
         if kind is None:
             said = inspect.formatannotation(hints[one.name])
             raise InputError(

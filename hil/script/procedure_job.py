@@ -6,8 +6,10 @@ import math
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 from drivers.clock import NS_PER_S
@@ -19,6 +21,7 @@ from hil.desk.axis_thread import Connection
 from hil.desk.job import Job, Workplace, tell_unchecked
 from hil.desk.plan import OF_PROCEDURE, Move, Plan, Write
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
+from hil.effects.user_code import in_short
 from hil.machine.events import Event, Listener, silent
 from hil.records.journal import FINISHED, Campaign, RowJournal
 from hil.records.rows import Records, parse_csv
@@ -120,6 +123,24 @@ def procedure_job(
     return Job(kind, plan, work)
 
 
+def _close(
+    rows: Generator[Row],
+    axis: Axis,
+    kind: type[BaseException] | None,
+    error: BaseException | None,
+    _: TracebackType | None,
+) -> None:
+    """End the user's generator. After an error its `finally` moves nothing, and what it raises is noted beside that error."""
+    if error is None:
+        rows.close()
+        return
+    axis.confine((), axis.first_run, 0)
+    try:
+        rows.close()
+    except Exception as second:  # noqa: BLE001  (the code is the user's)
+        error.add_note(f"and while run() was ended: {in_short(second)}")
+
+
 class _Rows:
     """The rows of one procedure on their way into its campaign."""
 
@@ -138,13 +159,14 @@ class _Rows:
         with ExitStack() as stack, naming_the_line(self._kind, "run"):
             rows = self._procedure.run(axis)
             if isinstance(rows, Generator):
-                stack.callback(rows.close)
+                stack.push(partial(_close, rows, axis))
             wanted = self._checked(rows, first)
             begin = next(wanted, None)
             if begin is None:
                 raise self._wrong(rows, f"run() yields no row of run {first} or a later one")
             names = tuple(begin) if self._columns is None else self._columns
             journal = stack.enter_context(self._campaign.rows(self._name, names))
+            self._check(journal, begin, rows)  # before the rows that it takes the place of are withdrawn
             if kept is not None:
                 journal.withdraw(int((kept.run == first).sum()), f"run {first} was broken off, and is measured again")
             for row in chain([begin], wanted):
@@ -155,7 +177,8 @@ class _Rows:
         """A copy of the user's file beside the rows, as it is when they are measured."""
         path = Path(file_of(self._kind))
         if path.is_file():
-            self._campaign.write(path.name, read_text(path).encode())
+            resumed = "" if self._kept is None else f"-from-run-{self.first_run}"
+            self._campaign.write(f"{path.stem}{resumed}{path.suffix}", read_text(path).encode())
 
     def _on_disk(self) -> Records | None:
         if self._columns is None:
@@ -175,18 +198,21 @@ class _Rows:
             if last >= first:
                 yield row
 
-    def _append(self, journal: RowJournal, row: Row, rows: Iterable[Row]) -> None:
+    def _check(self, journal: RowJournal, row: Row, rows: Iterable[Row]) -> None:
+        """Raises InputError for a row of other columns than the first one's, and for one that is wrong."""
         lacking = [name for name in journal.names if name not in row]
         new = [name for name in row if name not in journal.names]
         if lacking or new:
             what = f"lacks {', '.join(lacking)}" if lacking else f"has the new column(s) {', '.join(new)}"
             raise self._wrong(rows, f"run() yields a row that {what}, expected the columns of the first")
         try:
-            journal.append(row)
+            journal.check(row)
         except InputError as error:
-            if error.path is not None:  # of the disk
-                raise
             raise self._wrong(rows, f"run() yields a wrong row: {error.what}") from error
+
+    def _append(self, journal: RowJournal, row: Row, rows: Iterable[Row]) -> None:
+        self._check(journal, row, rows)
+        journal.append(row)
         self._listener(Event(self._name, f"run {row['run']:g}, row {len(journal)}", done=len(journal)))
 
     def _wrong(self, rows: object, what: str) -> InputError:

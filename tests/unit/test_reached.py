@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tomllib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -148,6 +149,12 @@ def unreached(root: Path) -> list[str]:
             part.reached = True
             names |= part.says | part.bases
     return [part.where for part in parts if not part.reached]
+
+
+def test_every_package_is_shipped() -> None:
+    listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]["packages"]
+    there = {path.parent.relative_to(ROOT) for package in PRODUCT for path in (ROOT / package).rglob("*.py")}
+    assert sorted(listed) == sorted(".".join(folder.parts) for folder in there)
 
 
 def test_nothing_is_there_for_tests_alone() -> None:

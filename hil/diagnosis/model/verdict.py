@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.evidence import Fit, Part, Scored
 from hil.diagnosis.model.intervals import terms_of
+from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rivals import not_told_apart, separating, to_switch
 from hil.diagnosis.model.search import Found, Search
@@ -185,7 +186,7 @@ class Verdict:
     def _equivalent(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """By column, the others that move with it."""
         ranks = {
-            name: np.argsort(np.argsort(self.campaign.columns[name], kind="stable"))
+            name: ranks_of(self.campaign.columns[name])
             for name in sorted(self.campaign.survey.varying)
             if name not in ("run", "measured_mm", "command_mm", "row_order")
         }

@@ -88,6 +88,7 @@ def test_creep_after_a_stop_becomes_rows_that_the_diagnosis_takes(
         ("readings: int = 3", "readings: complex = 3j", 6, "is of type complex"),
         ("readings: int = 3", "readings: int = 'three'", 6, "is 'three', expected a whole number"),
         ("readings: int = 3", "readings: 'Number' = 3", 4, "unknown type"),
+        ("readings: int = 3", "readings: int = 3\n    json: str = ''", 7, "hil run has an option of this name"),
         ("class Steps(", "class Steps((", 4, "SyntaxError"),
         ("25.0, 80.0, 100.0", "25.0, 900.0, 100.0", LINE_OF_PLAN, "outside the travel"),
         ("25.0, 80.0, 100.0", "25.0, 80.0, 1e6", LINE_OF_PLAN, "at most 200 mm/s"),
@@ -185,6 +186,39 @@ def test_ctrl_c_keeps_the_rows_and_the_broken_run_is_measured_again(folder: Path
     assert list(read_csv(whole.path).run) == list(whole.rows["run"])
 
 
+class GoesBack(Watched):
+    """Moves when it is ended."""
+
+    def run(self, axis: hil.Axis) -> Iterator[hil.Row]:
+        try:
+            yield from super().run(axis)
+        finally:
+            axis.move_to(30.0)
+
+
+def test_after_ctrl_c_the_end_of_a_procedure_moves_nothing(folder: Path) -> None:
+    with pytest.raises(KeyboardInterrupt) as ended, hil.open("axis.toml", on_event=pressed) as axis:
+        axis.run(GoesBack())
+    assert "no move that plan() names" in " ".join(ended.value.__notes__)
+
+
+class Follows(hil.Procedure):
+    """Set-points that are sums, at the planned velocity."""
+
+    def plan(self, axis: hil.Axis) -> Iterator[hil.Move]:
+        yield hil.Move("measure", 30.0, 36.0, 10.0)
+
+    def run(self, axis: hil.Axis) -> Iterator[hil.Row]:
+        axis.move_to(30.0, 10.0)
+        for one in axis.stream([30.0 + 0.1 * step for step in range(1, 61)], 0.01):
+            yield {"run": 1, "direction": 1.0, "measured_mm": one["motor_mm"], **one}
+
+
+def test_a_rounded_set_point_is_within_the_plan(folder: Path) -> None:
+    with hil.open("axis.toml") as axis:
+        assert len(axis.run(Follows()).rows["run"]) == 60
+
+
 def test_a_resumed_procedure_goes_on(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     lines = HEAD.replace(
         "                yield", "                if run == 2 and number == 2: BREAK\n                yield"
@@ -194,6 +228,10 @@ def test_a_resumed_procedure_goes_on(folder: Path, capsys: pytest.CaptureFixture
     assert "go on with: hil run steps.py axis.toml --readings 4 --resume" in capsys.readouterr().err
     kept = read_csv(rows_of(folder))
     assert list(kept.run) == [1] * 4 + [2] * 2
+    other_columns = lines.replace("BREAK", "pass").replace(".row(run)", ".row(run) | {'x': 1.0}")
+    (folder / "steps.py").write_text(other_columns)
+    assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 2
+    assert list(read_csv(rows_of(folder)).run) == list(kept.run), "nothing is withdrawn for a row that is refused"
     (folder / "steps.py").write_text(lines.replace("BREAK", "raise ValueError"))
     assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 2
     assert main(["run", "steps.py", "axis.toml", "--readings", "5", "--resume"]) == 2
