@@ -245,7 +245,7 @@ def run_script(folder: Path, interface: str, channel: str) -> list[list[int]]:
 
 def check_printed(seen: list[list[int]]) -> None:
     places, enabled = zip(*seen, strict=True)
-    assert len(places) > 3
+    assert places[0] < 100_000, "read while it moves, however slow the host is"
     assert list(places) == sorted(places)
     assert places[-1] <= 100_100
     assert set(enabled) == {1}
