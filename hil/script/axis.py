@@ -134,6 +134,10 @@ class Axis:
         """For the job of a procedure: the axis is homed, and moves within these moves alone. begun_ns: when its time began."""
         self._moves, self._first_run, self._opened_ns, self._homed = moves, first_run, begun_ns, True
 
+    def hold(self) -> None:
+        """For the job of a procedure that an error ends: no further move is one that its plan names."""
+        self._moves = ()
+
     def forget(self) -> None:
         """The connection is closed by its owner; forget it."""
         self._connection = None

@@ -134,7 +134,7 @@ def _close(
     if error is None:
         rows.close()
         return
-    axis.confine((), axis.first_run, 0)
+    axis.hold()
     try:
         rows.close()
     except Exception as second:  # noqa: BLE001  (the code is the user's)

@@ -75,11 +75,13 @@ def rows_of(campaign: CampaignRows, declared: Model | None, noise_um: float | No
 
 def _is_of(declared: Model, campaign: CampaignRows) -> bool:
     """Whether a declared table was fitted from these rows, so that it says nothing which they do not."""
+    if declared.terms:
+        return False
     rows = Rows(campaign)
     own = Force(Fit(rows, (), score(rows, ())[0].noise), {}).model().table
     table = declared.table
     sides = ((table.forward_um, own.forward_um), (table.backward_um, own.backward_um))
-    return not declared.terms and table.positions_mm == own.positions_mm and all(np.allclose(*side) for side in sides)
+    return table.positions_mm == own.positions_mm and all(np.allclose(*side) for side in sides)
 
 
 def _as_seen(declared: Model, campaign: CampaignRows) -> Model:
