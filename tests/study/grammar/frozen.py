@@ -125,20 +125,24 @@ KINDS: dict[str, tuple[tuple[str, ...], str]] = {
 """Machines of the users' page: their lots, and what is right."""
 HEAD = """# The lots of simulated machines
 
-Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. The machines are drawn by a generator that
-shares no code with the diagnosis, from seed 810650 on. Those of 810650 to 810675 are of earlier states of it, from 810676
-on of the present one, of which only `pairs` tried two effects in the place of one part that follows any course. 810653 and 810654
-of `missing` were looked at and are no proof. Intervals are Wilson's at 95 %.
+Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. A generator that shares no code with the
+diagnosis draws the machines, from seed 810650 on. Earlier versions of the diagnosis judged the seeds before 810676. The latest step of
+the search, which puts two effects in the place of one part, judged only the lot `pairs`. Two machines of `missing`, 810653 and 810654,
+were looked at while the diagnosis was made, and prove nothing.
 
 | Command | What it does |
 |---|---|
-| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10676` | adds machines, of one lot with `--lot` |
-| `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | two such files side by side |
-| `python tests/study/grammar/ablation.py OUT.jsonl` | leaves out each part and changes each number, on tuning machines |
-| `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | beside BIC, lasso, STLSQ, trees |
-| `python tests/study/own_catalogue.py --machines 520` | machines of our own catalogue |
-| `python tests/study/next_study.py` | whether the runs asked for separate causes |
-| `python tests/study/drawn.py` | 40 machines drawn by somebody else |
+| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10676` | adds machines; `--lot` chooses one lot |
+| `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | compares two such files |
+| `python tests/study/grammar/ablation.py OUT.jsonl` | leaves out each part, and changes each number |
+| `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | compares with BIC, lasso, STLSQ and trees |
+| `python tests/study/own_catalogue.py --machines 520` | machines that have only effects of the catalogue |
+| `python tests/study/drawn.py` | 40 machines that somebody else drew |
+
+## What was said
+
+A lot is a kind of machine. "From" and "to" are Wilson's interval at 95 %. "Wrong" is a wrong name with a confidence above 0.9.
+"Before" is the number that the diagnosis before this one had right, of the machines that both judged.
 """
 
 
@@ -154,16 +158,23 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def _lot(lot: str, own: Sequence[Outcome]) -> list[str]:
-    lines = [f"## {lot}", "", "| Figure | of | value | low | high |", "|---|---:|---:|---:|---:|"]
-    for name, hit in FIGURES.items():
-        found = share([hit(one) for one in own])
-        low, high = found["wilson_95"]
-        lines.append(f"| {name}, % | {len(own)} | {100 * found['share']:.0f} | {100 * low:.0f} | {100 * high:.0f} |")
+def _lot(lot: str, own: Sequence[Outcome], before: Sequence[Outcome]) -> str:
+    """The row of a lot: shares in %, then the count of the engine before and of this one on the machines of both."""
+    found = {name: share([hit(one) for one in own]) for name, hit in FIGURES.items()}
+    low, high = found["right"]["wilson_95"]
+    worst = found["wrong above 0.9"]["wilson_95"][1]
+    percent = [found["right"]["share"], low, high, found["wrong above 0.9"]["share"], worst]
+    percent += [found[name]["share"] for name in ("unexplained", "silent")]
+    old = {one["seed"]: one for one in before}
+    both = [(old[one["seed"]], one) for one in own if one["seed"] in old]
+    counts = [len(both), *(sum(map(asked, side)) for side in zip(*both, strict=True))]
+    return " | ".join([f"| {lot} | {len(own)}", *(f"{100 * one:.0f}" for one in percent), *map(str, counts)]) + " |"
+
+
+def _fresh(lot: str, own: Sequence[Outcome]) -> str:
+    """The row of a lot: RMS on rows that were not fitted, over that of the true model."""
     ratios = [one["fresh_um"] / one["fresh_true_um"] for one in own if not one["held"]]
-    for name, value in quantiles(ratios).items():
-        lines.append(f"| RMS on fresh rows over the true model's, {name} | {len(ratios)} | {value:.2f} | | |")
-    return [*lines, ""]
+    return " | ".join([f"| {lot} | {len(ratios)}", *(f"{one:.2f}" for one in quantiles(ratios).values())]) + " |"
 
 
 def _runs_asked(outcomes: Sequence[Asked]) -> list[str]:
@@ -175,24 +186,17 @@ def _runs_asked(outcomes: Sequence[Asked]) -> list[str]:
 
 def page() -> str:
     """`diagnosis_lots.md`."""
-    now, before = (read(OUTCOMES / f"{name}.jsonl") for name in ("model", "search"))
-    good = [one for one in now if "error" not in one]
-    lines = [HEAD, *summary(now), ""]
-    for lot in LOTS:
-        lines += _lot(lot, [one for one in good if one["lot"] == lot])
-    lines += _runs_asked(of_json(OUTCOMES / "next.jsonl"))
-    lines += [
-        "## Beside the engine before",
-        "",
-        "| Lot | machines of both | right before | right now |",
-        "|---|---:|---:|---:|",
-    ]
-    old = {(one["lot"], one["seed"]): one for one in before if "error" not in one}
-    for lot in LOTS:
-        both = [(old[lot, one["seed"]], one) for one in good if one["lot"] == lot and (lot, one["seed"]) in old]
-        counts = [sum(map(asked, side)) for side in zip(*both, strict=True)]
-        lines.append(f"| {lot} | {len(both)} | {counts[0]} | {counts[1]} |")
-    return "\n".join(lines) + "\n"
+    now, before = (
+        [one for one in read(OUTCOMES / f"{name}.jsonl") if "error" not in one] for name in ("model", "search")
+    )
+    lots = {lot: [[one for one in side if one["lot"] == lot] for side in (now, before)] for lot in LOTS}
+    columns = "Lot | machines | right, % | from | to | wrong, % | to | unexplained, % | silent, % | of both | right before | right now"
+    lines = [HEAD, f"| {columns} |", "|---|" + "---:|" * columns.count("|")]
+    lines += [_lot(lot, *sides) for lot, sides in lots.items()]
+    lines += ["", "## What is left", "", "RMS on fresh rows, divided by what the true model leaves on them.", ""]
+    lines += ["| Lot | machines | median | 90 % below | worst |", "|---|---:|---:|---:|---:|"]
+    lines += [_fresh(lot, own) for lot, (own, _) in lots.items()]
+    return "\n".join([*lines, "", *_runs_asked(of_json(OUTCOMES / "next.jsonl"))])
 
 
 def main(words: Sequence[str] | None = None) -> int:
