@@ -133,12 +133,12 @@ def _outcome(machine: Drawn, feed: str, reversals: Sequence[Reversal], seconds: 
 # -- figures ---------------------------------------------------------------------------------------------------------------
 HEAD = [
     *("machines", "number", "refused", "error, %: median", "95 % below", "truth in U95, %", "U95, %"),
-    *("rule: error, %", "95 % below", "time, s", "nearer to the laser"),
+    *("rule: error, %", "95 % below", "time, s"),
 ]
 
 
-def row(name: str, outcomes: Sequence[Outcome], nearer: int) -> list[str]:
-    """The cells of HEAD; nearer: machines on which this feed's value is nearer to the laser's than the other feed's."""
+def row(name: str, outcomes: Sequence[Outcome]) -> list[str]:
+    """The cells of HEAD."""
     fits = [(o.fit_um - o.machine.laser_um, o.u95_um, o.machine.laser_um) for o in outcomes if o.fit_um is not None]
     covered = sum(abs(error) <= u95 for error, u95, _ in fits)
     return [
@@ -150,7 +150,6 @@ def row(name: str, outcomes: Sequence[Outcome], nearer: int) -> list[str]:
         f"{np.median([100.0 * u95 / laser for _, u95, laser in fits]):.1f}" if fits else "–",
         *_median_and_95([100.0 * abs(o.rule_um / o.machine.laser_um - 1.0) for o in outcomes if o.rule_um is not None]),
         f"{np.median([o.seconds for o in outcomes]):.0f}",
-        str(nearer),
     ]
 
 
@@ -165,28 +164,12 @@ def tables(outcomes: Sequence[Outcome]) -> str:
         sizes[f"{low} to {high} µm"] = lambda m, low=low, high=high: low <= m.laser_um < high  # type: ignore[misc]
     for kind in sorted({kind for o in outcomes for kind in o.machine.kinds}):
         sizes[kind] = lambda m, kind=kind: kind in m.kinds  # type: ignore[misc]
-    nearer = {name: _nearer(outcomes, of) for name, of in sizes.items()}
     text = []
-    for at, feed in enumerate(FEEDS):
-        rows = [
-            row(name, [o for o in outcomes if o.feed == feed and of(o.machine)], nearer[name][at])
-            for name, of in sizes.items()
-        ]
+    for feed in FEEDS:
+        rows = [row(name, [o for o in outcomes if o.feed == feed and of(o.machine)]) for name, of in sizes.items()]
         title = "By steps of 1 µm" if feed == "steps" else f"By a creep of {CREEP_UM_S:g} µm/s"
         text += [f"## {title}", "", *_markdown(HEAD, rows), ""]
-    without = sum(o.rule_um is None for o in outcomes)
-    return "\n".join(text) + f"\nThe rule found no peak in {without} of {len(outcomes)} measurements.\n"
-
-
-def _nearer(outcomes: Sequence[Outcome], of: Callable[[Drawn], bool]) -> tuple[int, int]:
-    """Of the machines where both feeds give a value: on how many steps are nearer to the laser, and on how many the creep."""
-    pairs = [
-        (abs(one.fit_um - one.machine.laser_um), abs(other.fit_um - other.machine.laser_um))
-        for one, other in zip(outcomes[::2], outcomes[1::2], strict=True)
-        if of(one.machine) and one.fit_um is not None and other.fit_um is not None
-    ]
-    steps = sum(a <= b for a, b in pairs)
-    return steps, len(pairs) - steps
+    return "\n".join(text)
 
 
 def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
