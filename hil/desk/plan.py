@@ -20,8 +20,8 @@ OF_PROCEDURE = "run-"
 
 @dataclass(frozen=True)
 class Move:
-    """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; low_mm, high_mm: its ends, load mm; velocity: the
-    highest.
+    """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; low_mm, high_mm: its ends, mm of the load;
+    velocity_mm_s: the highest.
 
     how: "moves" between the two ends; "goes" to the position that both ends are; "drives" by a distance from its present position;
     "turns", with ends and velocity in degrees

@@ -24,7 +24,7 @@ _SAME = 1e-9
 
 
 class MadeWithError(StateError):
-    """The drive has other parameters than tables or rows were made with."""
+    """The drive has other parameters than those with which tables or rows were made."""
 
 
 @dataclass(frozen=True)

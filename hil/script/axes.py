@@ -19,7 +19,7 @@ def open_axes(
 ) -> Iterator[tuple[Axis, ...]]:
     """The axes of several axis files, each with an instrument, connected together for a `with` block; arguments as for `hil.open`.
 
-    Jobs that connect by themselves (parameters, straightness) are refused by CapabilityError.
+    `parameters` and straightness need an axis alone and raise CapabilityError.
     """
     files = [load_drive_axis(path) for path in paths]
     measured = [one for one in files if isinstance(one, AxisConfig)]

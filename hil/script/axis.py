@@ -54,12 +54,12 @@ def open_axis(
     on_event: Listener = silent,
     network: canopen.Network | None = None,
 ) -> Axis:
-    """The axis of an axis file, for a `with` block: it is connected on entering; on leaving it is stopped after an error, disabled
-    unless it was enabled, and disconnected.
+    """The axis of an axis file, for a `with` block. Entering connects the axis. Leaving stops it after an error, disables it unless it
+    was enabled before, and disconnects it.
 
-    password, key_password: of the sealed tables and of the builder's key; None takes them from HIL_PASSWORD and
-    HIL_KEY_PASSWORD, the axis file, or the keyboard, as the verbs do. on_event: called with progress and warnings. network: a
-    canopen.Network of yours in place of the bus that the axis file names. Raises InputError.
+    password, key_password: of the sealed tables and of the builder's key; None takes them from the environment, the axis file or the
+    keyboard. on_event: called with progress and warnings. network: your own canopen.Network in place of the axis file's bus. Raises
+    InputError.
     """
     return Axis(load_drive_axis(path), Passwords(password, key_password), on_event, network=network)
 
@@ -104,13 +104,12 @@ class Axis:
 
     @property
     def first_run(self) -> int:
-        """The first run that a procedure is to measure: 1, or after an interruption the run that was broken off."""
+        """The first run that a procedure has to measure: 1, or after an interruption the run that was interrupted."""
         return self._first_run
 
     @property
     def bench(self) -> Bench:
-        """The simulated machine of an axis file with backend "bench"; each connection begins with a new one. Raises CapabilityError on
-        hardware."""
+        """The simulated machine of an axis file with backend "bench", new at each connection. Raises CapabilityError on hardware."""
         self._require()
         if self._bench is None:
             raise CapabilityError(f"axis {self.name} is no simulated machine in this process")
@@ -215,7 +214,7 @@ class Axis:
         return self._reading(drive.sample(), None, raw_mm=raw_mm)
 
     def watch(self, seconds: float, every_s: float = 0.05) -> Iterator[AxisReading]:
-        """Yield readings for this time, as they come. An error of drive or instrument is raised, and the axis is stopped."""
+        """Yield readings for this time, as they come. An error of drive or instrument stops the axis and is raised."""
         axis, clock = self._supervisor.axes[0], self._require().drive.clock
         deadline, due_ns = clock.deadline(seconds), clock.now_ns()
         while not deadline.expired:
@@ -268,10 +267,9 @@ class Axis:
 
     # -- moving --------------------------------------------------------------------------------------------------------
     def home(self, *, corrected: bool = False, new_zero: bool = False, instrument_zeroed: bool = False) -> None:
-        """Enable, home where the axis file says so, and take the instrument's datum at the reference position.
+        """Enable, home if the axis file says so, and set the instrument's datum at the reference position.
 
-        corrected: whether the stored tables are in force afterwards; new_zero, instrument_zeroed: as the options of the verbs.
-        Raises what homing and moving raise.
+        corrected: whether the stored correction is in force afterwards; new_zero, instrument_zeroed: as the options of the verbs.
         """
         session = self._require().session
         if self._moves is not None:
@@ -291,10 +289,10 @@ class Axis:
         self._homed = True
 
     def move_to(self, position_mm: float, velocity_mm_s: float | None = None) -> None:
-        """Move to a position, load mm, and return once the axis has arrived.
+        """Move to a position, mm of the load, and return on arrival.
 
-        velocity_mm_s: None takes that of [measurement]. Raises StateError before `home()` and once the axis was stopped or disabled,
-        LimitError before any motion for a target outside the travel, and what stops the axis.
+        velocity_mm_s: None takes that of [measurement]. Raises StateError before `home()` and after a stop, LimitError for a target
+        outside the travel, and the error that stops the axis.
         """
         connection = self._require()
         session, sample = connection.session, connection.drive.sample()
@@ -331,7 +329,7 @@ class Axis:
         return self.file.measurement.velocity_mm_s
 
     def disable(self) -> None:
-        """Switch the power of the drive off."""
+        """Switch off the power of the drive."""
         connection = self._require()
         connection.drive.disable()
         self._homed, self._last = False, None
@@ -339,10 +337,10 @@ class Axis:
             connection.session.command_state.forget()
 
     def stream(self, positions_mm: Iterable[float], period_s: float, *, following_error_mm: float = 1.0) -> Rows:
-        """Follow set-points, one each period, from where the axis stands; with the correction in force after `home(corrected=True)`.
+        """Follow set-points, one each period, from where the axis stands; corrected after `home(corrected=True)`.
 
-        Returns target and motor of each period: time_s, target_mm, motor_mm. Raises StateError before `home()`, LimitError for a
-        target outside the travel, and what the stream raises; any error stops the axis.
+        Returns time_s, target_mm and motor_mm of each period. Raises StateError before `home()`, and LimitError for a target outside
+        the travel. Any error stops the axis.
         """
         from drivers.set_points import SetPointSettings, SetPointStream  # noqa: PLC0415
 
@@ -386,7 +384,7 @@ class Axis:
         instrument_zeroed: bool = False,
         **how: Unpack[Measuring],
     ) -> CalibrationResult:
-        """Measure, compute tables and store them sealed, as `hil calibrate --without-proof`; `verify()` proves them."""
+        """Measure, compute tables and store them, as `hil calibrate --without-proof`; `verify()` proves them."""
         from hil.calibration.job import CALIBRATE, calibration_job  # noqa: PLC0415  (loads slowly)
 
         axis, zero = self._measured_file(measurement=how), _stated(new_zero, instrument_zeroed)
@@ -424,8 +422,8 @@ class Axis:
         return self._passwords.store(other, writing=False) if isinstance(other, AxisConfig) else None
 
     def backlash(self, *, write: bool = False, **how: Unpack[Winding]) -> BacklashResult:
-        """Lost motion by the servo's torque, as `hil backlash`. write: whether the mean is
-        written into the drive's parameter, or into the tables where it has none."""
+        """Lost motion by the servo's torque, as `hil backlash`. write: whether the mean is written into the drive's parameter, or into
+        the tables if the drive has none."""
         from hil.backlash.job import backlash_config, measuring_job, write_job  # noqa: PLC0415  (loads slowly)
 
         axis = load_drive_axis(self.file.path, {"backlash": how} if how else {})
@@ -441,9 +439,9 @@ class Axis:
     def lost_motion(
         self, *, store: bool = True, seed: int = 1, resume: bool = False, **how: Unpack[Reversing]
     ) -> ReversalResult:
-        """Lost motion after a reversal by the instrument, as `hil lost-motion`. store: whether it is put into force once it is proven.
+        """Lost motion after a reversal by the instrument, as `hil lost-motion`. store: whether a proven correction is put into force.
 
-        Raises NoLostMotionError where there is nothing to correct.
+        Raises NoLostMotionError if there is nothing to correct.
         """
         from hil.correction.store import bound_tables  # noqa: PLC0415  (cryptography loads slowly)
         from hil.lost_motion.job import lost_motion_config, measuring_job, store_job  # noqa: PLC0415
@@ -466,8 +464,7 @@ class Axis:
         feeds_mm_s: Sequence[float] = (),
         resume: bool = False,
     ) -> LoopResult:
-        """Calibrate, explore, diagnose, add what is found, measure again, as `hil close-loop`; feeds_mm_s: feeds of
-        further passes in motion."""
+        """Calibrate, diagnose, add what is found, measure again, as `hil close-loop`. feeds_mm_s: of further passes in motion."""
         from hil.calibration.explore import Exploration  # noqa: PLC0415  (the diagnosis loads slowly)
         from hil.diagnosis.loop.job import loop_job  # noqa: PLC0415
         from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at  # noqa: PLC0415
@@ -496,7 +493,7 @@ class Axis:
         new_zero: bool = False,
         instrument_zeroed: bool = False,
     ) -> ProcedureResult:
-        """Carry out a procedure of yours, as `hil run`; corrected: whether the stored correction is in force."""
+        """Carry out your own procedure, as `hil run`; corrected: whether the stored correction is in force."""
         from hil.script.procedure import values_of  # noqa: PLC0415  (drivers load slowly)
         from hil.script.procedure_job import procedure_job  # noqa: PLC0415  (as above)
 

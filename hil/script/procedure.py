@@ -23,7 +23,7 @@ Row = Mapping[str, float]
 
 @dataclass_transform(kw_only_default=True)
 class Procedure(ABC):
-    """A subclass is a procedure of its own; the attributes that it annotates are its parameters, as those of a dataclass.
+    """Base class of your own procedures. As in a dataclass, annotated attributes are its parameters.
 
     A parameter is a float, int, bool, str or tuple[float, ...]. Its name ends in its unit (`dwell_s: float = 3.0`). It is an option of
     `hil run` (`--dwell-s 5`).
@@ -39,16 +39,16 @@ class Procedure(ABC):
 
     @abstractmethod
     def plan(self, axis: Axis) -> Iterable[Move]:
-        """The moves that `run` makes, each with its ends and its highest velocity; `run` can move the axis to no place outside them.
+        """The moves that `run` makes, each with its ends and its highest velocity. `run` cannot move the axis outside them.
 
         axis: not connected; its file is `axis.file`.
         """
 
     @abstractmethod
     def run(self, axis: Axis) -> Iterable[Row]:
-        """Measure, and yield each row (`axis.read().row()`), which is on disk before the next is asked for. The runs ascend.
+        """Measure, and yield each row (`axis.read().row()`). It is on disk before the next is asked for. The run numbers ascend.
 
-        axis: homed, with the datum taken. After `--resume` this is called anew; rows of a run before `axis.first_run` are on disk
+        axis: homed, with the datum set. With `--resume` this begins anew; rows of a run before `axis.first_run` are on disk
         already and are not written again.
         """
 

@@ -13,11 +13,11 @@ class AxisReading:
     """One look at the axis. What is not known is None, never a made-up zero.
 
     time_s: time since the axis was opened, or since its last job began
-    motor_mm: the drive's actual position, load mm; instrument_mm: the load's position by the instrument, None before `home()` takes
-    the datum; instrument_raw_mm: in the instrument's own frame
-    std_um: standard deviation of one reading, where several were averaged
-    target_mm, command_mm: target of the last `move_to`, without and with the correction; direction: of arrival there, +1 or -1, else 0
-    sensors: of air, workpiece and conditions, by their columns in the record format
+    motor_mm: the drive's actual position, mm of the load; instrument_mm: the load's position by the instrument, None before `home()`;
+    instrument_raw_mm: as the instrument shows it
+    std_um: standard deviation of one reading, if several were averaged
+    target_mm, command_mm: target of the last `move_to`, without and with the correction; direction: of arrival there, +1, -1 or 0
+    sensors: air, workpiece and conditions, by their columns in the record format
     """
 
     time_s: float
@@ -37,8 +37,8 @@ class AxisReading:
     sensors: Mapping[str, float] = field(default_factory=dict)
 
     def row(self, run: int = 1) -> dict[str, float]:
-        """A row of the record format. Raises InputError without a target or without the instrument's position: both are there after
-        `home()` and `move_to()`."""
+        """A row of the record format. Raises InputError without a target or an instrument's position: call `home()` and `move_to()`
+        first."""
         if self.instrument_mm is None or self.target_mm is None or self.command_mm is None:
             missing = "position of the instrument" if self.instrument_mm is None else "target"
             raise InputError(f"a reading has no {missing}, expected home() and move_to() before it")

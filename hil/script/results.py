@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # what measures and fits loads slowly
 
 @dataclass(frozen=True)
 class ErrorFigures:
-    """Figures of the errors of some rows, µm. A, R, B and M of ISO 230-2 are None where the rows do not give them."""
+    """Figures of the errors of some rows, µm. A, R, B and M of ISO 230-2 are None if the rows do not give them."""
 
     rows: int
     rms_um: float
@@ -54,13 +54,13 @@ class ErrorFigures:
 
     @property
     def in_short(self) -> str:
-        """A where it is known, else the largest error, µm."""
+        """A if it is known, else the largest error, µm."""
         return f"peak {self.peak_um:.2f} µm" if self.A_um is None else f"A {self.A_um:.2f} µm"
 
 
 @dataclass(frozen=True, repr=False)
 class Result(ABC):
-    """The result of a job. campaign: the folder of its rows, None for a job without; raw: the result as the procedure returns it."""
+    """The result of a job. campaign: the folder of its rows, None for a job without rows."""
 
     axis: DriveAxis
     campaign: Path | None
@@ -89,14 +89,13 @@ class Result(ABC):
         return Path(path)
 
     def report(self, path: str | Path) -> Path:
-        """Write the report as one HTML file. Raises CapabilityError where this kind of result has none."""
+        """Write the report as one HTML file. Raises CapabilityError if this kind of result has none."""
         replace_file(path, self._page().encode())
         return Path(path)
 
     def certificate(self, path: str | Path) -> Path:
-        """Write the signed certificate, PDF, of the last pass, as `hil report --certificate` does. The key's password is that of
-        `hil.open`, else of the environment or the axis file. Raises CapabilityError where this kind of result has none; and as the
-        verb."""
+        """Write the signed certificate of the last pass, PDF, as `hil report --certificate`, with the key password of `hil.open`.
+        Raises CapabilityError if this kind of result has none."""
         rows = self._certified()
         if rows is None:
             raise CapabilityError(f"a {type(self).__name__} is not certified: verify() is")
@@ -238,17 +237,17 @@ class VerificationResult(MeasuredResult):
 
     @property
     def A_um(self) -> float | None:  # noqa: N802  (the standard's name)
-        """The accuracy A of ISO 230-2, None where the rows cannot give it."""
+        """The accuracy A of ISO 230-2, None if the rows cannot give it."""
         return self.accuracy.A_um
 
     @property
     def U_um(self) -> float | None:  # noqa: N802
-        """Its expanded uncertainty, None where nothing is stated of the instrument."""
+        """Its expanded uncertainty, None without `[uncertainty]` in the axis file."""
         return self.accuracy.U_um
 
     @property
     def good(self) -> bool:
-        """Whether A does not fail its limit and no section is outside the band."""
+        """Whether A passes its limit and every section is inside the band, if these are given."""
         return self.raw.good and self.accuracy.good
 
     @property
@@ -292,7 +291,7 @@ class BacklashResult(Result):
 
     @property
     def lost_motion_um(self) -> float | None:
-        """Mean over the directions measured, None where the detection limit was exceeded."""
+        """Mean over the directions measured, None if the detection limit was exceeded."""
         return self.raw.result.lost_motion_um
 
     @cached_property
@@ -402,7 +401,7 @@ class ReversalResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class LoopResult(MeasuredResult):
-    """A closed loop. stages: the figures of each, in the order of time; explained: whether every cause was found."""
+    """A closed loop. stages: figures of its stages, in the order of time; explained: whether every cause was found."""
 
     axis: AxisConfig
     raw: Loop
@@ -416,12 +415,12 @@ class LoopResult(MeasuredResult):
 
     @cached_property
     def before(self) -> ErrorFigures:
-        """Errors of the exploration with the table alone."""
+        """Errors at other targets with the tables alone."""
         return ErrorFigures.of(self.raw.turn.before)
 
     @cached_property
     def after(self) -> ErrorFigures:
-        """Errors of the exploration with what was found."""
+        """Errors at other targets with what was found."""
         return ErrorFigures.of(self.raw.turn.after)
 
     @property
@@ -454,7 +453,7 @@ class LoopResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class ProcedureResult(MeasuredResult):
-    """A procedure of the user's that was carried out. name: of its class; parameters: its values; raw: its rows."""
+    """Your own procedure, carried out. name: of its class; parameters: its values."""
 
     axis: AxisConfig
     name: str
@@ -468,7 +467,7 @@ class ProcedureResult(MeasuredResult):
 
     @property
     def good(self) -> bool:
-        """It came to its end."""
+        """Whether it came to its end."""
         return True
 
     @property

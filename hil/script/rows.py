@@ -24,8 +24,7 @@ class Rows:
 
     @classmethod
     def of(cls, readings: Iterable[AxisReading], run: int = 1) -> Rows:
-        """Rows of readings, for `hil diagnose`. Raises InputError for a reading without a target or without the instrument's position:
-        both are there after `home()` and `move_to()`."""
+        """Rows of readings, for `hil diagnose`. Raises InputError as `AxisReading.row`."""
         rows = [one.row(run) for one in readings]
         if not rows:
             raise InputError("there are no readings, expected at least one")

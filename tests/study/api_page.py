@@ -13,11 +13,13 @@ from hil.script import names
 PAGE = Path(__file__).parents[2] / "hil/docs/api.md"
 HEAD = """# The names of `import hil`
 
-How to use them: [scripts](scripts.md). An argument stands with its default, or else with its type. Written by
-`python tests/study/api_page.py`.
+How to use them: [scripts](scripts.md). An argument is shown with its default, or else with its type. `python tests/study/api_page.py`
+writes this page.
 """
 ALIKE = ("form", "sentence", "records", "raw", "axis")
 """Members that say the same of every result; they are described once, at the base class."""
+OWN = ("confine", "hold", "forget")
+"""Members of `Axis` that only this program calls."""
 SECTIONS = {"measurement": values.Measuring, "lost_motion": values.Reversing, "backlash": values.Winding}
 """Values of a call, by section of the axis file."""
 
@@ -41,13 +43,11 @@ def text() -> str:
         parts.append(f"## hil.{name}\n\n{described(one)[0]}{based}\n")
         parts += [line if line.startswith(" ") else f"- {line}" for line in members(one)]
         parts.append("")
-    parts.append(
-        "## Values of a call\n\nThese keys of the [axis file](axis_file.md) may be given to a call in place of its own:\n"
-    )
+    parts.append("## Values of a call\n\nA call may give these keys in place of the [axis file](axis_file.md):\n")
     for section, given in SECTIONS.items():
         keys = ", ".join(f"`{key}`" for key in inspect.get_annotations(given))
         parts.append(f"- of `[{section}]` as `**{given.__name__}`: {keys}")
-    parts.append("\n## Errors\n\nIn brackets the error that each is a kind of; all are a `hil.BridgeError`.\n")
+    parts.append("\n## Errors\n\nEach with its base class in brackets.\n")
     parts += [f"- `hil.{name}` ({one.__bases__[0].__name__}): {in_short(one)}" for name, one in errors.items()]
     return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)) + "\n"
 
@@ -61,7 +61,7 @@ def members(one: type) -> Iterator[str]:
     if left := [name for name in fields if not any(f"`{name}`" in part.split(": ")[0] for part in parts)]:
         yield ", ".join(f"`{name}`" for name in left)
     for name, member in vars(one).items():
-        if name.startswith("_") or name in fields or name in alike:
+        if name.startswith("_") or name in fields or name in alike or name in OWN:
             continue
         function = member.__func__ if isinstance(member, classmethod) else member
         if inspect.isfunction(function):
