@@ -6,13 +6,10 @@ import argparse
 import sys
 
 from drivers.drive import ServoDrive
-from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.axis.backlash import BacklashConfig
-from hil.backlash.documents import facts, form, report_html, verdict
 from hil.backlash.job import (
     NEVER_WRITTEN,
-    MeasuredBacklash,
     backlash_config,
     measure,
     original_values,
@@ -20,11 +17,12 @@ from hil.backlash.job import (
     unrestored,
     write_amount,
 )
-from hil.backlash.result import NAMES, fitted_lost_motion, mean_um
+from hil.backlash.measured import HEAD, BacklashResult
+from hil.backlash.result import NAMES
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.machine.wiring import connected_drive
 from hil.ui.terminal.axis_options import open_store, tell_bench
-from hil.ui.terminal.output import number, print_facts, print_table, times, write_json
+from hil.ui.terminal.output import finish, print_facts, print_table, times
 from hil.ui.terminal.progress import telling_notes, terminal_progress
 
 
@@ -48,27 +46,17 @@ def run(args: argparse.Namespace) -> int:
             print(f"written: {where} = {kept:g}, for {args.write_um:g} µm as typed; not yet proven (hil verify)")
             return 0
         with terminal_progress() as listener:
-            measured = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
-    _print(measured)
-    if args.laser is not None:
-        _compare(measured, args.laser)
-    if args.write and how.parameter is not None:
-        tell_bench(axis)
-    if args.report:
-        replace_file(args.report, report_html(axis, measured).encode())
-    if args.json:
-        write_json(args.json, form(axis, measured))
-    return 0 if measured.result.lost_motion_um is not None else 1
-
-
-def _compare(measured: MeasuredBacklash, laser_um: float) -> None:
-    """One value of an instrument beside this measurement: the scale that makes them agree."""
-    by_torque_um = measured.result.lost_motion_um
-    if by_torque_um:
+            found = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
+    _print(found)
+    if args.laser is not None and found.lost_motion_um:
+        scale = args.laser / found.lost_motion_um
         print(
-            f"by the instrument {laser_um:g} µm, by torque {by_torque_um:.2f} µm: [backlash] scale = {laser_um / by_torque_um:.4f}"
+            f"by the instrument {args.laser:g} µm, by torque {found.lost_motion_um:.2f} µm: [backlash] scale = {scale:.4f}"
             f" makes them agree; it holds for this axis as it is now"
         )
+    if args.write and how.parameter is not None:
+        tell_bench(axis)
+    return finish(args, found)
 
 
 def _say(text: str) -> None:
@@ -122,30 +110,14 @@ def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) 
     print(f"  the mean would {'take the place of the amount' if args.write else 'not be written'}")
 
 
-def _print(measured: MeasuredBacklash) -> None:
-    result = measured.result
-    rows = [
-        [
-            f"{one.run}, {NAMES[one.trace.direction]}",
-            number(one.published_um, 1),
-            number(None if one.fitted is None else one.fitted.lost_motion_um),
-            number(None if one.fitted is None else 1.96 * one.fitted.u_um),
-            number(None if one.fitted is None else one.fitted.peak_um, 1),
-        ]
-        for one in result.reversals
-    ]
-    print_table(["run", "four-sample, µm", "fitted, µm", "± U95, µm", "break-away, µm"], rows)
-    found = fitted_lost_motion(result.reversals, result.directions)
-    by_rule = mean_um(result.reversals, "four-sample", result.directions)
-    fitted = "–" if found is None else f"{found.mean_um:.2f} ± {found.u95_um:.2f} µm (95 %)"
-    means = {"fitted": fitted, "four-sample": "–" if by_rule is None else f"{by_rule:.1f} µm"}
-    print_facts(
-        {
-            **{f"mean, {name}": text for name, text in means.items()},
-            **facts(measured.settings, result),
-            "readings": str(measured.kept),
-        }
-    )
+def _print(found: BacklashResult) -> None:
+    print_table(HEAD, found.table())
+    fitted, by_rule_um = found.raw.fitted, found.raw.by_rule_um
+    means = {
+        "mean, fitted": "–" if fitted is None else f"{fitted.mean_um:.2f} ± {fitted.u95_um:.2f} µm (95 %)",
+        "mean, four-sample": "–" if by_rule_um is None else f"{by_rule_um:.1f} µm",
+    }
+    print_facts({**means, **found.parameters(), "readings": str(found.kept)})
     print(f"{MEASURED_AT_A_REVERSAL['backlash']} ({OTHER_REVERSAL_FIGURES})")
-    if result.lost_motion_um is None:
-        print(verdict(result))
+    if found.verdict:
+        print(found.verdict)

@@ -24,8 +24,9 @@ from drivers.files import read_text, replace_file
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
 from hil.axis.zero import made_with_keeper
-from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, read_before, restore
-from hil.backlash.procedure import TorqueBacklash, check_drive, measure_backlash
+from hil.backlash.measured import BacklashResult
+from hil.backlash.neutral_settings import SettingsBefore, read_before, restore
+from hil.backlash.procedure import check_drive, measure_backlash
 from hil.backlash.result import NAMES
 from hil.backlash.settings import NOTE, backlash_settings
 from hil.backlash.trace import ReversalTrace
@@ -60,16 +61,6 @@ def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
 
 
 # -- measure -------------------------------------------------------------------------------------------------------------
-@dataclass(frozen=True)
-class MeasuredBacklash:
-    """A measurement. kept: the file with its readings"""
-
-    how: BacklashConfig
-    settings: BacklashSettings
-    result: TorqueBacklash
-    kept: Path
-
-
 def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Plan:
     """The moves and writes of a measurement."""
     moves = []
@@ -91,7 +82,7 @@ def measure(
     store: SealedStore | None = None,
     listener: Listener = silent,
     tell: Callable[[str], None],
-) -> MeasuredBacklash:
+) -> BacklashResult:
     """Measures on an open drive; every reversal is written to disk as it is measured, also an interrupted one.
 
     store: where the mean goes that is to be written, for a drive without a parameter
@@ -106,14 +97,14 @@ def measure(
     kept = _next_file(axis.store.directory)
     remember, keep = partial(_remember, axis), _keeper(kept, axis.name, how.reversals)
     into_drive = write and how.parameter is not None
-    result = measure_backlash(
+    raw = measure_backlash(
         drive, how, settings, write=into_drive, remember=remember, keep=keep, listener=listener, tell=tell
     )
-    if write and not into_drive and result.lost_motion_um is not None:
-        amount_um = settings.amount_of(result.lost_motion_um)
+    if write and not into_drive and raw.lost_motion_um is not None:
+        amount_um = settings.amount_of(raw.lost_motion_um)
         _into_tables(axis, store, drive, amount_um)
-        result = replace(result, written=amount_um)
-    return MeasuredBacklash(how, settings, result, kept)
+        raw = replace(raw, written=amount_um)
+    return BacklashResult(axis, None, how, settings, raw, kept)
 
 
 def _require_store(axis: DriveAxis, store: SealedStore | None) -> AxisConfig:
@@ -141,13 +132,13 @@ def _into_tables(axis: DriveAxis, store: SealedStore | None, drive: ServoDrive, 
         )
 
 
-def measuring_job(axis: DriveAxis, how: BacklashConfig) -> Job:
-    """Job that returns a MeasuredBacklash; nothing is written permanently."""
+def measuring_job(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Job:
+    """Job that returns a BacklashResult; write: the mean is written."""
 
-    def work(place: Workplace) -> MeasuredBacklash:
-        return measure(axis, how, place.drive, listener=place.listener, tell=place.tell)
+    def work(place: Workplace) -> BacklashResult:
+        return measure(axis, how, place.drive, write=write, store=place.store, listener=place.listener, tell=place.tell)
 
-    return Job(MEASURE, measuring_plan(axis, how), work, reached=lambda found: found.result.lost_motion_um is not None)
+    return Job(MEASURE, measuring_plan(axis, how, write=write), work, reached=lambda found: found.good)
 
 
 def _next_file(directory: Path) -> Path:

@@ -66,10 +66,10 @@ def _draw_measured(view: View) -> Refresh:
     def refresh() -> None:
         shown = backlash_screen(view.desk)
         earlier = kept.value if shown.measurement is None else None  # of a server before this one
-        by_direction = shown.by_direction_um if earlier is None else earlier.by_direction_um
-        plus_minus.set_text(t.number(by_direction[-1], 2))
-        minus_plus.set_text(t.number(by_direction[1], 2))
-        mean.set_text(t.number(shown.mean_um if earlier is None else earlier.mean_um, 2))
+        by_direction = shown.by_direction_um if earlier is None else earlier.found.by_direction_um
+        plus_minus.set_text(t.number(by_direction.get(-1), 2))
+        minus_plus.set_text(t.number(by_direction.get(1), 2))
+        mean.set_text(t.number(shown.mean_um if earlier is None else earlier.found.lost_motion_um, 2))
         before.set_text("" if earlier is None else t("backlash.kept", date=earlier.at.strftime("%Y-%m-%d %H:%M")))
         seen = shown.parameter
         if seen is not None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,9 +11,10 @@ from drivers.files import decode_log, read_bytes
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import REVERSALS
 from hil.backlash import job as backlash
-from hil.backlash.documents import verdict
-from hil.backlash.job import CompensationState, MeasuredBacklash
-from hil.backlash.result import NAMES, Reversal, mean_um
+from hil.backlash.job import CompensationState
+from hil.backlash.measured import BacklashResult
+from hil.backlash.neutral_settings import SettingsBefore
+from hil.backlash.result import NAMES, Reversal, TorqueBacklash
 from hil.backlash.trace import read_trace
 from hil.desk.desk import Desk
 from hil.desk.progress import Phase, Progress
@@ -46,11 +46,10 @@ class BacklashScreen:
 
 @dataclass(frozen=True)
 class KeptBacklash:
-    """The last measurement on disk. at: when its file was last written; by_direction_um, mean_um: as of `BacklashScreen`."""
+    """The last measurement on disk. at: when its file was last written."""
 
     at: datetime
-    by_direction_um: Mapping[int, float | None]
-    mean_um: float | None
+    found: TorqueBacklash
 
 
 def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
@@ -58,7 +57,7 @@ def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
     files = sorted(axis.store.directory.glob("backlash-[0-9]*.jsonl"), key=lambda path: path.stat().st_mtime)
     if not files:
         return None
-    method, reversals, asked = backlash.backlash_config(axis).method, [], "both"
+    reversals, asked = [], "both"
     try:
         text = decode_log(read_bytes(files[-1]))
     except InputError:
@@ -71,8 +70,8 @@ def kept_backlash(axis: DriveAxis) -> KeptBacklash | None:
     if not reversals:
         return None
     at = datetime.fromtimestamp(files[-1].stat().st_mtime).astimezone()
-    by_direction = {way: mean_um(reversals, method, [way]) for way in NAMES}
-    return KeptBacklash(at, by_direction, mean_um(reversals, method, REVERSALS[asked]))
+    method, unknown = backlash.backlash_config(axis).method, SettingsBefore({}, from_note=False)
+    return KeptBacklash(at, TorqueBacklash(tuple(reversals), method, REVERSALS[asked], unknown))
 
 
 def backlash_screen(desk: Desk) -> BacklashScreen:
@@ -80,8 +79,8 @@ def backlash_screen(desk: Desk) -> BacklashScreen:
     measurement = desk.last(backlash.MEASURE)
     result = None if measurement is None else measurement.result
     found_um = warning = None
-    if isinstance(result, MeasuredBacklash):
-        found_um, warning = result.result.lost_motion_um, verdict(result.result)
+    if isinstance(result, BacklashResult):
+        found_um, warning = result.lost_motion_um, result.verdict
     interrupted = backlash.unrestored(desk.axis) and not (measurement is not None and measurement.running)
     if interrupted:
         warning = "an interrupted measurement left the drive's backlash settings changed: restore them"

@@ -18,8 +18,8 @@ from drivers.drive import Capability, DriveSample, ServoDrive
 from drivers.errors import CapabilityError, LimitError, ProtocolError
 from hil.axis.backlash import SLIDE_MM, SLIDES, BacklashConfig
 from hil.backlash.fitted import fit_wind_up
-from hil.backlash.neutral_settings import BacklashSettings, SettingsBefore, Tell, neutral
-from hil.backlash.result import NAMES, Reversal, mean_um
+from hil.backlash.neutral_settings import BacklashSettings, Tell, neutral
+from hil.backlash.result import NAMES, Reversal, TorqueBacklash
 from hil.backlash.settings import NoSetting
 from hil.backlash.trace import ReversalTrace, crept_trace
 from hil.machine.events import Event, Listener, Measured, Point, silent
@@ -40,27 +40,6 @@ Keep = Callable[[int, ReversalTrace], None]
 """keep(run, trace): receives every reversal, also an interrupted one."""
 Remember = Callable[[dict[str, float], float], None]
 """remember(before, amount): receives the parameters before the measurement, and the amount about to be written."""
-
-
-@dataclass(frozen=True)
-class TorqueBacklash:
-    """The result. found: the parameters before; written: the amount written; reversals: in the order of time."""
-
-    reversals: tuple[Reversal, ...]
-    method: str
-    directions: tuple[int, ...]
-    found: SettingsBefore
-    written: float | None = None
-
-    @property
-    def lost_motion_um(self) -> float | None:
-        """Mean over the directions measured, by the chosen method; None where the detection limit was exceeded."""
-        return mean_um(self.reversals, self.method, self.directions)
-
-    @property
-    def exceeded(self) -> Reversal | None:
-        """The reversal without a peak within the allowed steps, if any."""
-        return next((one for one in self.reversals if one.lost_motion_um(self.method) is None), None)
 
 
 def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:

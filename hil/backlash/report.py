@@ -4,8 +4,7 @@ mean.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import matplotlib as mpl
 import numpy as np
@@ -13,38 +12,27 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hil.backlash.result import BOTH, NAMES, LostMotion, Reversal, fitted_lost_motion, mean_um
+from hil.backlash.measured import HEAD, BacklashResult
+from hil.backlash.result import NAMES, Reversal, TorqueBacklash
 from hil.ui.report import markup
 from hil.ui.report.markup import header, page, tile
 from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
 
-@dataclass(frozen=True)
-class BacklashReport:
-    """The data of one report. method: the estimate that is used; verdict: a sentence, or empty."""
-
-    title: str
-    reversals: Sequence[Reversal]
-    method: str
-    verdict: str = ""
-    identity: Mapping[str, str] = field(default_factory=dict)
-    parameters: Mapping[str, str] = field(default_factory=dict)
-    directions: Sequence[int] = BOTH
-
-
-def render_backlash(report: BacklashReport) -> str:
-    """The whole page as HTML. Same data, same text."""
+def render_backlash(found: BacklashResult) -> str:
+    """The whole page as HTML."""
+    title, identity = f"Lost motion of axis {found.axis.name} by torque", found.identity()
     parts = [
-        header(report.title, report.identity.get("Measured", "")),
-        _tiles(report),
-        f'<p class="callout">{markup.text(report.verdict)}</p>' if report.verdict else "",
-        "<h2>Identity</h2>" + markup.definitions(dict(report.identity)) if report.identity else "",
-        *(_run(report, run) for run in sorted({one.run for one in report.reversals})),
-        _table(report.reversals),
-        "<h2>Parameters of the drive</h2>" + markup.definitions(dict(report.parameters)) if report.parameters else "",
+        header(title, identity["Measured"]),
+        _tiles(found.raw),
+        f'<p class="callout">{markup.text(found.verdict)}</p>' if found.verdict else "",
+        "<h2>Identity</h2>" + markup.definitions(identity),
+        *(_run(found.raw.reversals, run) for run in sorted({one.run for one in found.raw.reversals})),
+        "<h2>Every reversal</h2>" + markup.table(HEAD, found.table(), css="numbers"),
+        "<h2>Parameters of the drive</h2>" + markup.definitions(found.parameters()),
         _footer(),
     ]
-    return page(report.title, parts)
+    return page(title, parts)
 
 
 def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
@@ -99,24 +87,20 @@ def _found(one: Reversal) -> str:
     return "no wind-up that ends in sliding" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
 
 
-def _tiles(report: BacklashReport) -> str:
-    found: LostMotion | None = fitted_lost_motion(report.reversals, report.directions)
-    rule = mean_um(report.reversals, "four-sample", report.directions)
-    counts = {"fitted": "", "four-sample": ""} | {report.method: "this one counts"}
+def _tiles(found: TorqueBacklash) -> str:
+    fitted, counts = found.fitted, {"fitted": "", "four-sample": ""} | {found.method: "this one counts"}
+    mean, spread = (None, None) if fitted is None else (fitted.mean_um, fitted.u95_um)
     tiles = [
-        tile("Lost motion, fitted", markup.number(None if found is None else found.mean_um, 1), "µm", counts["fitted"]),
-        tile("± with 95 % confidence", markup.number(None if found is None else found.u95_um, 1), "µm"),
-        tile("By the four-sample rule", markup.number(rule, 1), "µm", counts["four-sample"]),
+        tile("Lost motion, fitted", markup.number(mean, 1), "µm", counts["fitted"]),
+        tile("± with 95 % confidence", markup.number(spread, 1), "µm"),
+        tile("By the four-sample rule", markup.number(found.by_rule_um, 1), "µm", counts["four-sample"]),
+        *(tile(NAMES[each], markup.number(value, 1), "µm") for each, value in found.by_direction_um.items()),
     ]
-    for direction in report.directions:
-        tiles.append(
-            tile(NAMES[direction], markup.number(mean_um(report.reversals, report.method, [direction]), 1), "µm")
-        )
     return '<div class="tiles">' + "".join(tiles) + "</div>"
 
 
-def _run(report: BacklashReport, run: int) -> str:
-    mine = [one for one in report.reversals if one.run == run]
+def _run(reversals: Sequence[Reversal], run: int) -> str:
+    mine = [one for one in reversals if one.run == run]
     svg = inline_svg(torque_plot(mine, PAGE), f"run{run}", f"Torque over travel through both reversals, run {run}")
     caption = (
         "Torque over the motor's travel since the reversal, with the sign of the new direction. The old wind-up is released,"
@@ -134,25 +118,6 @@ def _data(one: Reversal) -> str:
     }
     which = "plus-minus" if trace.direction < 0 else "minus-plus"
     return markup.data_table(f"data-run-{one.run}-{which}", f"{NAMES[trace.direction]}, every reading", columns)
-
-
-def _table(reversals: Sequence[Reversal]) -> str:
-    rows = []
-    for one in reversals:
-        fit = one.fitted
-        rows.append(
-            [
-                f"{one.run}, {NAMES[one.trace.direction]}",
-                markup.number(one.published_um, 1),
-                markup.number(None if fit is None else fit.lost_motion_um),
-                markup.number(None if fit is None else 1.96 * fit.u_um),
-                markup.number(None if fit is None else fit.peak_um, 1),
-                markup.number(None if fit is None else fit.peak_percent),
-                markup.number(None if fit is None else fit.level_percent),
-            ]
-        )
-    head = ["run", "four-sample, µm", "fitted, µm", "± U95, µm", "break-away, µm", "its torque, %", "sliding, %"]
-    return "<h2>Every reversal</h2>" + markup.table(head, rows, css="numbers")
 
 
 def _footer() -> str:

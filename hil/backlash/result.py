@@ -15,6 +15,7 @@ import scipy
 
 from hil.backlash.fitted import FittedWindUp, fit_wind_up, hidden_um
 from hil.backlash.four_sample import four_sample
+from hil.backlash.neutral_settings import SettingsBefore
 from hil.backlash.trace import ReversalTrace
 
 _NORMAL = NormalDist().inv_cdf(0.975)
@@ -111,3 +112,39 @@ def reversal_json(one: Reversal) -> dict[str, Any]:
         "break_away_percent": None if fit is None else fit.peak_percent,
         "sliding_percent": None if fit is None else fit.level_percent,
     }
+
+
+@dataclass(frozen=True)
+class TorqueBacklash:
+    """What was measured. found: the parameters before; written: the amount written; reversals: in the order of time."""
+
+    reversals: tuple[Reversal, ...]
+    method: str
+    directions: tuple[int, ...]
+    found: SettingsBefore
+    written: float | None = None
+
+    @property
+    def lost_motion_um(self) -> float | None:
+        """Mean over the directions measured, by the chosen method; None where the detection limit was exceeded."""
+        return mean_um(self.reversals, self.method, self.directions)
+
+    @property
+    def exceeded(self) -> Reversal | None:
+        """The reversal without a peak within the allowed steps, if any."""
+        return next((one for one in self.reversals if one.lost_motion_um(self.method) is None), None)
+
+    @property
+    def fitted(self) -> LostMotion | None:
+        """Mean over the directions measured, by the fitted curve; None where a fit is missing."""
+        return fitted_lost_motion(self.reversals, self.directions)
+
+    @property
+    def by_rule_um(self) -> float | None:
+        """Mean over the directions measured, by the rule of four samples."""
+        return mean_um(self.reversals, "four-sample", self.directions)
+
+    @property
+    def by_direction_um(self) -> dict[int, float | None]:
+        """Mean of each direction measured, by the chosen method."""
+        return {each: mean_um(self.reversals, self.method, [each]) for each in self.directions}

@@ -8,7 +8,7 @@ import hil
 def main(path: str) -> int:
     with hil.open(path) as axis:
         found = axis.backlash()
-    for one in found.raw.result.reversals:
+    for one in found.raw.reversals:
         fitted = "nothing" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
         print(f"into {one.trace.direction:+d}: {fitted}; by the four-sample rule {one.published_um} µm")
     if found.lost_motion_um is None or found.u95_um is None:

@@ -12,12 +12,12 @@ from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState, ServoDrive
 from drivers.errors import CapabilityError, InputError, LimitError, StateError
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
+from hil.desk.reading import AxisReading
+from hil.desk.rows import Rows
 from hil.machine.events import Event, Listener, silent
 from hil.records.journal import Campaign
 from hil.script.given import Measuring, Passwords, RealTime, Reversing, Winding
-from hil.script.reading import AxisReading
 from hil.script.results import (
-    BacklashResult,
     CalibrationResult,
     DoctorResult,
     LoopResult,
@@ -25,12 +25,12 @@ from hil.script.results import (
     ReversalResult,
     VerificationResult,
 )
-from hil.script.rows import Rows
 
 if TYPE_CHECKING:  # drivers and fits load slowly
     import canopen
 
     from drivers.instrument import Reading
+    from hil.backlash.measured import BacklashResult
     from hil.correction.store import SealedStore
     from hil.desk.axis_thread import Connection
     from hil.desk.job import Job, Workplace
@@ -424,17 +424,14 @@ class Axis:
     def backlash(self, *, write: bool = False, **how: Unpack[Winding]) -> BacklashResult:
         """Lost motion by the servo's torque, as `hil backlash`. write: whether the mean is written into the drive's parameter, or into
         the tables if the drive has none."""
-        from hil.backlash.job import backlash_config, measuring_job, write_job  # noqa: PLC0415  (loads slowly)
+        from hil.backlash.job import backlash_config, measuring_job  # noqa: PLC0415  (loads slowly)
 
         axis = load_drive_axis(self.file.path, {"backlash": how} if how else {})
         settings = backlash_config(axis)
         into_tables = write and settings.parameter is None and isinstance(axis, AxisConfig)
         store = self._passwords.store(axis, writing=True) if into_tables and isinstance(axis, AxisConfig) else None
-        measured = self._carry_out(measuring_job(axis, settings), store)
-        mean_um = measured.result.lost_motion_um
-        if write and mean_um is not None:
-            self._carry_out(write_job(axis, settings, mean_um), store)
-        return BacklashResult(axis, None, measured, write and mean_um is not None)
+        found: BacklashResult = self._carry_out(measuring_job(axis, settings, write=write), store)
+        return found
 
     def lost_motion(
         self, *, store: bool = True, seed: int = 1, resume: bool = False, **how: Unpack[Reversing]

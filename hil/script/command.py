@@ -13,7 +13,7 @@ from hil.script.procedure_file import made_from
 from hil.script.procedure_job import procedure_plan
 from hil.ui.terminal.axis_options import print_plan
 from hil.ui.terminal.options import READING
-from hil.ui.terminal.output import from_here, print_facts, write_json
+from hil.ui.terminal.output import finish, from_here, print_facts
 from hil.ui.terminal.passwords import password
 from hil.ui.terminal.progress import terminal_progress
 
@@ -38,11 +38,7 @@ def run(args: argparse.Namespace) -> int:
         )
     print(result.sentence)
     print_facts({"rows": from_here(result.path)})
-    if args.report:
-        result.report(args.report)
-    if args.json:
-        write_json(args.json, result.form())
-    return 0
+    return finish(args, result)
 
 
 def _parameters(procedure: Procedure) -> dict[str, str]:

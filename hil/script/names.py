@@ -18,8 +18,12 @@ from drivers.errors import (
     StateError,
     UnprovenError,
 )
+from hil.backlash.measured import BacklashResult
 from hil.correction.sealed.errors import SealedError, WrongPasswordError
 from hil.desk.plan import Move
+from hil.desk.reading import AxisReading
+from hil.desk.result import Result
+from hil.desk.rows import Rows
 from hil.machine.events import Event
 from hil.records.made_with import MadeWithError
 from hil.records.zero import ZeroError
@@ -28,9 +32,7 @@ from hil.script.axis import Axis
 from hil.script.axis import open_axis as open
 from hil.script.parameters import Parameters
 from hil.script.procedure import Procedure, Row
-from hil.script.reading import AxisReading
 from hil.script.results import (
-    BacklashResult,
     CalibrationResult,
     DoctorResult,
     ErrorFigures,
@@ -39,11 +41,9 @@ from hil.script.results import (
     ParameterComparison,
     ParameterWriting,
     ProcedureResult,
-    Result,
     ReversalResult,
     VerificationResult,
 )
-from hil.script.rows import Rows
 
 __all__ = [
     "AbortError",

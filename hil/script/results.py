@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import io
-import json
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -13,15 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.errors import CapabilityError, InputError
-from drivers.files import replace_file
-from hil.axis.axis_file import AxisConfig, DriveAxis, accuracy_of
+from hil.axis.axis_file import AxisConfig, accuracy_of
+from hil.desk.result import Result
+from hil.desk.rows import Rows
 from hil.figures.verdict import Accuracy
 from hil.records.rows import Records
 from hil.script.given import Passwords
-from hil.script.rows import Rows
 
 if TYPE_CHECKING:  # what measures and fits loads slowly
-    from hil.backlash.job import MeasuredBacklash
     from hil.calibration.calibrate import Calibration
     from hil.calibration.job import Verification
     from hil.correction.tables import TableSet
@@ -56,67 +54,6 @@ class ErrorFigures:
     def in_short(self) -> str:
         """A if it is known, else the largest error, µm."""
         return f"peak {self.peak_um:.2f} µm" if self.A_um is None else f"A {self.A_um:.2f} µm"
-
-
-@dataclass(frozen=True, repr=False)
-class Result(ABC):
-    """The result of a job. campaign: the folder of its rows, None for a job without rows."""
-
-    axis: DriveAxis
-    campaign: Path | None
-
-    @property
-    @abstractmethod
-    def good(self) -> bool:
-        """The verdict, as the verb's exit status gives it."""
-
-    @property
-    @abstractmethod
-    def sentence(self) -> str:
-        """The result in one short sentence."""
-
-    @abstractmethod
-    def form(self) -> Mapping[str, Any]:
-        """The result as plain values, as the verb writes it by `--json`."""
-
-    def save(self, path: str | Path | None = None) -> Path:
-        """Write the result as JSON and return the path. path: None, beside its rows. Raises InputError for a result without rows."""
-        if path is None:
-            if self.campaign is None:
-                raise InputError("this result has no folder of rows, expected a path")
-            path = self.campaign / "script-result.json"
-        replace_file(path, (json.dumps(self.form(), indent=2, default=str) + "\n").encode())
-        return Path(path)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report as one HTML file. Raises CapabilityError if this kind of result has none."""
-        replace_file(path, self._page().encode())
-        return Path(path)
-
-    def certificate(self, path: str | Path) -> Path:
-        """Write the signed certificate of the last pass, PDF, as `hil report --certificate`, with the key password of `hil.open`.
-        Raises CapabilityError if this kind of result has none."""
-        rows = self._certified()
-        if rows is None:
-            raise CapabilityError(f"a {type(self).__name__} is not certified: verify() is")
-        from hil.report.command import certify  # noqa: PLC0415  (plots are slow to import)
-
-        with redirect_stdout(io.StringIO()):
-            certify(self.axis.path, rows, Path(path), self._key_password())
-        return Path(path)
-
-    def _page(self) -> str:
-        raise CapabilityError(f"a {type(self).__name__} has no report: save() writes it as JSON")
-
-    def _certified(self) -> Path | None:
-        return None
-
-    def _key_password(self) -> str | None:
-        """Of the builder's key, as the script gave it."""
-        return None
-
-    def __repr__(self) -> str:
-        return f"<{self.sentence}>"
 
 
 class MeasuredResult(Result):
@@ -273,73 +210,16 @@ class VerificationResult(MeasuredResult):
 
         return verification_report(self.axis, self.tables, self.raw)
 
-    def _certified(self) -> Path | None:
+    def certificate(self, path: str | Path) -> Path:
+        """Of the rows of this verification."""
         if self.campaign is None:
-            return None
-        return self.campaign / f"{'uncorrected' if self.tables is None else 'verify'}.csv"
+            return super().certificate(path)
+        from hil.report.command import certify  # noqa: PLC0415  (plots are slow to import)
 
-    def _key_password(self) -> str | None:
-        return self._passwords.key
-
-
-@dataclass(frozen=True, repr=False)
-class BacklashResult(Result):
-    """Lost motion by torque. written: whether the mean was written."""
-
-    raw: MeasuredBacklash
-    written: bool
-
-    @property
-    def lost_motion_um(self) -> float | None:
-        """Mean over the directions measured, None if the detection limit was exceeded."""
-        return self.raw.result.lost_motion_um
-
-    @cached_property
-    def u95_um(self) -> float | None:
-        """Its uncertainty at 95 %, None without a fit."""
-        from hil.backlash.result import fitted_lost_motion  # noqa: PLC0415  (loads slowly)
-
-        found = fitted_lost_motion(self.raw.result.reversals, self.raw.result.directions)
-        return None if found is None else found.u95_um
-
-    @property
-    def good(self) -> bool:
-        """Whether a mean was found."""
-        return self.lost_motion_um is not None
-
-    @property
-    def sentence(self) -> str:
-        """The mean with its uncertainty."""
-        mean, spread = self.lost_motion_um, self.u95_um
-        if mean is None:
-            return f"backlash of {self.axis.name}: detection limit exceeded"
-        return f"backlash of {self.axis.name}: {mean:.1f}" + ("" if spread is None else f" ± {spread:.1f}") + " µm"
-
-    def form(self) -> Mapping[str, Any]:
-        """As `hil backlash --json`."""
-        from hil.backlash.documents import form  # noqa: PLC0415  (loads slowly)
-
-        return form(self.axis, self.raw)
-
-    @property
-    def rows(self) -> Rows:
-        """The torque at each step of every reversal: run, direction, motor_mm, torque_percent (mean of its readings)."""
-        import numpy as np  # noqa: PLC0415
-
-        traces = [(one.run, one.trace) for one in self.raw.result.reversals]
-        sizes = [len(trace.position_load_mm) for _, trace in traces]
-        columns = {
-            "run": np.repeat([float(run) for run, _ in traces], sizes),
-            "direction": np.repeat([float(trace.direction) for _, trace in traces], sizes),
-            "motor_mm": np.concatenate([trace.position_load_mm for _, trace in traces]),
-            "torque_percent": np.concatenate([trace.torque_percent.mean(axis=1) for _, trace in traces]),
-        }
-        return Rows(columns)
-
-    def _page(self) -> str:
-        from hil.backlash.documents import report_html  # noqa: PLC0415  (plots are slow to import)
-
-        return report_html(self.axis, self.raw)
+        rows = self.campaign / f"{'uncorrected' if self.tables is None else 'verify'}.csv"
+        with redirect_stdout(io.StringIO()):
+            certify(self.axis.path, rows, Path(path), self._passwords.key)
+        return Path(path)
 
 
 @dataclass(frozen=True, repr=False)

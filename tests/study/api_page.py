@@ -16,7 +16,7 @@ HEAD = """# The names of `import hil`
 How to use them: [scripts](scripts.md). An argument is shown with its default, or else with its type. `python tests/study/api_page.py`
 writes this page.
 """
-ALIKE = ("form", "sentence", "records", "raw", "axis")
+ALIKE = ("form", "sentence", "records", "raw", "axis", "certificate")
 """Members that say the same of every result; they are described once, at the base class."""
 OWN = ("confine", "hold", "forget")
 """Members of `Axis` that only this program calls."""

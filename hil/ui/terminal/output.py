@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import io
 import json
 import math
@@ -15,6 +16,7 @@ from typing import Any, Literal, TextIO
 
 from drivers.files import replace_file
 from hil.correction.sealed import Binding
+from hil.desk.result import Result
 
 Align = Literal["left", "right"]
 PIPE_WIDTH = 140
@@ -61,6 +63,15 @@ def write_json(path: str | Path, obj: object) -> None:
         print(text, file=_json_to or sys.stdout)
         return
     replace_file(path, (text + "\n").encode("utf-8"))
+
+
+def finish(args: argparse.Namespace, result: Result) -> int:
+    """Write the report and the JSON that the options ask for; the exit status of this result."""
+    if args.report:
+        result.report(args.report)
+    if args.json:
+        write_json(args.json, result.form())
+    return 0 if result.good else 1
 
 
 def number(value: float | None, decimals: int = 2) -> str:

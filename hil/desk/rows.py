@@ -12,8 +12,8 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
+from hil.desk.reading import AxisReading
 from hil.records.rows import Floats, Records, to_csv
-from hil.script.reading import AxisReading
 
 
 @dataclass(frozen=True)
