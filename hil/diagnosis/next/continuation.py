@@ -200,7 +200,8 @@ class Continuation:
             centred = so_far - np.mean(so_far)
             old = np.column_stack([design[:n], np.ones(n)])
             coefficients = np.linalg.lstsq(old, centred, rcond=1e-9)[0]
-            missed = float(np.sum((centred - old @ coefficients) ** 2))
+            rounding = HIDDEN * np.sum(centred**2)  # of forms that miss less the first is taken, the simplest
+            missed = float(max(np.sum((centred - old @ coefficients) ** 2), rounding))
             if best is None or missed < best[0] * 0.999:
                 best = missed, np.asarray(design[n:] @ coefficients[:-1] + coefficients[-1] + np.mean(so_far))
         if best is None or best[0] > SAME * float(np.sum((so_far - np.mean(so_far)) ** 2)) + 1e-12:
