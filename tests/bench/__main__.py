@@ -1,8 +1,8 @@
 """All benchmarks, and the one table of the pages: python tests/bench [--write] [PYTEST OPTION…]
 
 Prints the table; --write puts it into hil/docs/benchmarks.md, unless a bench failed. With further options, such as
--k streaming, the lines of benches that were not run stay. The table holds what the benches print (`support.bench.row`)
-and nothing else. Takes 10 minutes; other work on the computer makes the figures worse, the ratios less so, as both sides
+-k streaming, the lines of benches that were not run stay. The page holds those lines that the benches print (`support.bench.row`)
+which have an aim. Takes 10 minutes; other work on the computer makes the figures worse, the ratios less so, as both sides
 take turns.
 """
 
@@ -81,15 +81,15 @@ def main(words: Sequence[str]) -> int:
     status = pytest.main(
         [str(HERE), "-q", "-s", "-n", "0", "-m", "outside", "-p", "no:cacheprovider", *options], [rows]
     )
-    lines = [line(file, cells) for file, cells in rows.found]
-    print(f"\n{table(lines)}")
+    print("\n" + table(line(file, cells) for file, cells in rows.found))
     if "--write" in words:
         if status != pytest.ExitCode.OK:
             print("not written: a bench failed", file=sys.stderr)
             return 1
         text = PAGE.read_text(encoding="utf-8")
         old = [one for one in text.splitlines() if one.startswith("| ") and one.endswith("` |")] if options else []
-        PAGE.write_text(page(text, joined(old, lines)), encoding="utf-8")
+        new = [line(file, cells) for file, cells in rows.found if cells["asked"]]
+        PAGE.write_text(page(text, joined(old, new)), encoding="utf-8")
     return int(status)
 
 

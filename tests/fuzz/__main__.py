@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 FOUND = HERE / "found"
 PAGE = HERE.parents[1] / "hil/docs/security.md"
-COUNTS = "Executions so far, added by `--write`:\n\n"
+COUNTS = HERE / "counts.json"
+"""Executions so far, by target."""
+TOTAL = "Executions so far: "
+"""How the line of the page begins that sums them up."""
 SLOWEST_S = 10
 """One input that takes longer is a finding."""
 MOST_MB = 1024
@@ -70,7 +73,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=int, default=0, help="at most so long each, 0 for no bound")
     parser.add_argument("--list", action="store_true", help="print the names")
     parser.add_argument("--json", metavar="FILE", help="write executions and findings by target")
-    parser.add_argument("--write", action="store_true", help=f"add the executions to the counts in {PAGE.name}")
+    parser.add_argument("--write", action="store_true", help=f"add the executions to {COUNTS.name} and {PAGE.name}")
     args = parser.parse_args()
     sys.path[:0] = [str(HERE.parent), str(HERE.parents[1])]
     targets = _targets()
@@ -92,21 +95,27 @@ def main() -> int:
         if not good:
             print(said[-3000:], flush=True)
         if args.write and good:
-            add_to_page({name: runs})
+            add({name: runs})
         if args.json:
             Path(args.json).write_text(json.dumps(table, indent=1) + "\n")
     return 0 if all(each["good"] for each in table.values()) else 1
 
 
-def add_to_page(runs: Mapping[str, int]) -> None:
-    """Add executions that found nothing to the page's counts, by target."""
-    head, _, listed = PAGE.read_text(encoding="utf-8").partition(COUNTS)
-    counts = {name: int(count.replace(",", "")) for name, count in re.findall(r"^(.+) ([\d,]+)[;.]$", listed, re.M)}
+def add(runs: Mapping[str, int]) -> None:
+    """Add executions that found nothing to the counts, and their sum to the page."""
+    counts: dict[str, int] = json.loads(COUNTS.read_text(encoding="utf-8"))
     for name, count in runs.items():
         counts[name] = counts.get(name, 0) + count
-    lines = ";\n".join(f"{name} {counts[name]:,}" for name in sorted(counts, key=str.lower))
-    total = f"Together {sum(counts.values()):,}; nothing found is left open."
-    PAGE.write_text(f"{head}{COUNTS}{lines}.\n{total}\n", encoding="utf-8")
+    in_order = {name: counts[name] for name in sorted(counts, key=str.lower)}
+    COUNTS.write_text(json.dumps(in_order, indent=1) + "\n", encoding="utf-8")
+    head = PAGE.read_text(encoding="utf-8").partition(TOTAL)[0]
+    PAGE.write_text(f"{head}{TOTAL}{summed(counts)}\n", encoding="utf-8")
+
+
+def summed(counts: Mapping[str, int]) -> str:
+    """The counts in one sentence."""
+    least = min(counts.values())
+    return f"{sum(counts.values()):,} on {len(counts)} targets, at least {least:,} on each. Everything found was corrected."
 
 
 def _targets() -> Mapping[str, Target]:
