@@ -375,16 +375,15 @@ def _busy() -> None:
 # -- the page ------------------------------------------------------------------------------------------------------------------
 HEAD = f"""# How soon a stop leaves
 
-The operator's stop is pressed at many moments of each job. The time is measured from there to the first frame that takes the
-motion or the power away. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed.
-On Modbus the frame waits for the request under way, and for no other.
+The operator's stop is pressed at many moments of each job. The time runs from there to the first frame that stops the motion or
+switches the power off. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed. On Modbus the frame waits only for the request that is being answered.
 
-`python tests/study/stop_latency.py --write` measures again, prints a line for each job, and writes the worst of the jobs here.
+`python tests/study/stop_latency.py --write` measures again, and writes the worst of the jobs here.
 
 ## In simulated time
 
-The jobs are the verbs that move an axis. Simulated time moves in steps of 10 ms at most, so the table is no finer. "SDO dead":
-the drive answers no SDO from 50 ms before the stop.
+The jobs are the verbs that move an axis. Simulated time moves in steps of 10 ms at most. "SDO dead": the drive answers no SDO from 50 ms
+before the stop.
 
 | wire | jobs | stops | worst | requests before the frame |
 | --- | --- | --- | --- | --- |
@@ -393,8 +392,7 @@ WALL_HEAD = """
 ## In real time, both cores loaded
 
 The jobs are a move, a homing, a stream, and watching at rest, while two other processes compute. "Dead": answers are lost from up
-to 50 ms before the stop. "At the drive" includes delays of the simulated drive's own threads and of the pseudo-terminal. On RTU a
-dead unit costs the request's own time on the line and 20 ms, and not its time-out.
+to 50 ms before the stop. "At the drive" includes delays of the simulated drive's threads and of the pseudo-terminal.
 
 | wire | jobs | stops | leaves, largest median | worst | at the drive, worst | requests before the frame |
 | --- | --- | --- | --- | --- | --- | --- |
