@@ -376,14 +376,15 @@ def _busy() -> None:
 HEAD = f"""# How soon a stop leaves
 
 The operator's stop is pressed at many moments of each job. The time runs from there to the first frame that stops the motion or
-switches the power off. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed. On Modbus the frame waits only for the request that is being answered.
+switches the power off. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed.
+On Modbus the frame waits only for the request that is being answered.
 
 `python tests/study/stop_latency.py --write` measures again, and writes the worst of the jobs here.
 
 ## In simulated time
 
-The jobs are the verbs that move an axis. Simulated time moves in steps of 10 ms at most. "SDO dead": the drive answers no SDO from 50 ms
-before the stop.
+The jobs are the verbs that move an axis. Simulated time moves in steps of 10 ms at most. "SDO dead": the drive answers no SDO
+from 50 ms before the stop.
 
 | wire | jobs | stops | worst | requests before the frame |
 | --- | --- | --- | --- | --- |
