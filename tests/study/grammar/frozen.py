@@ -136,7 +136,6 @@ were looked at while the diagnosis was made, and prove nothing.
 | `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | compares two such files |
 | `python tests/study/grammar/ablation.py OUT.jsonl` | leaves out each part, and changes each number |
 | `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | compares with BIC, lasso, STLSQ and trees |
-| `python tests/study/own_catalogue.py --machines 520` | machines that have only effects of the catalogue |
 | `python tests/study/drawn.py` | 40 machines that somebody else drew |
 
 ## What was said
