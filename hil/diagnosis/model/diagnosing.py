@@ -90,14 +90,17 @@ def _as_seen(declared: Model, campaign: CampaignRows) -> Model:
 
 
 def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[Effect]) -> tuple[Search, Found]:
-    """The parts. A declared model decides only what it lacks of position and direction: all else is what shows beside any table."""
+    """The parts. A declared model decides only what it lacks of position and direction: all else is what shows beside any table,
+    unless another effect is likelier beside the declared one."""
     search, found = _searched(own_rows(campaign, declared), effects)
     if declared is None:
         return search, found
     rows = rows_of(campaign, declared, found.fit.sigma)
     static = [effect for effect in effects if effect.static]
     _, found = _searched(rows, static, found.parts)
-    return Search(found.fit.rows, Catalogue(rows, effects), Remainder(campaign)), found
+    search = Search(found.fit.rows, Catalogue(rows, effects), Remainder(campaign))
+    parts = search.exchanged(found.parts)
+    return search, Found(parts, search.fit(parts))
 
 
 def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Found]:

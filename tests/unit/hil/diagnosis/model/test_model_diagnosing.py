@@ -12,7 +12,7 @@ from hil.diagnosis import diagnose, fit_model
 from hil.diagnosis.campaign import columns_of
 from hil.diagnosis.result import OUTSIDE, Diagnosis
 from hil.effects import Action
-from hil.effects.model import Model
+from hil.effects.model import Model, PitchTable
 from hil.records.rows import Records
 
 
@@ -207,3 +207,29 @@ def test_a_part_with_harmonics_beside_drift_of_each_run_is_one_part_and_nothing_
     assert finding.confidence > 0.9
     assert min(one.theta[0] for one in finding.terms) <= period_mm * 1.01
     assert finding.explanation.count("a part that turns") == 1
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_lag_is_no_backlash_of_a_temperature_that_differs_between_the_feeds_by_a_digit(seed: int) -> None:
+    """Beside a table of their own, which holds any difference of the directions, four passes say as much for the one as for the other.
+    The declared table has no such difference: the lag alone is without it. As a backlash it was 13 mm/K, corrected."""
+    rng = np.random.default_rng(seed)
+    passes = ((30.0, 1, 21.18), (30.0, -1, 21.19), (110.0, 1, 21.19), (110.0, -1, 21.20))
+    feed, way, warm = (np.repeat(values, 6) for values in np.array(passes).T)
+    along = 11.5 * np.tile(np.arange(6.0), 4)
+    target = np.repeat([136.0, 175.0, 121.0, 158.0], 6) + way * along
+    columns = {
+        "run": np.ones(24),
+        "direction": way,
+        "target_mm": target,
+        "measured_mm": target - (1.66 * way * feed - rng.normal(0.0, 0.4, 24)) / 1000.0,
+        "time_s": np.repeat([0.0, 6.0, 12.0, 18.0], 6) + along / feed,
+        "velocity_mm_s": feed,
+        "since_reversal_mm": 25.0 + along,
+        "stroke_mm": np.repeat([106.0, 84.0, 114.0, 112.0], 6),
+        "temp_screw_c": warm,
+    }
+    nothing = PitchTable.of(np.linspace(0.0, 300.0, 31), np.zeros(31), np.zeros(31))
+    found = diagnose(Records.of(columns), Model(nothing, ()))
+    assert [finding.effect for finding in found.findings] == ["velocity_lag"]
+    assert [term.effect.id for term in found.extended.terms] == ["velocity_lag"]
