@@ -33,7 +33,7 @@ from pathlib import Path
 
 
 class BridgeError(Exception):
-    """Root of every error that this project raises itself."""
+    """Base of all errors that this project raises."""
 
 
 class TransportError(BridgeError):
@@ -79,7 +79,7 @@ class AbortError(RemoteError):
 
 
 class DriveFaultError(RemoteError):
-    """The drive is in a fault state; `code` is its error code (603Fh) where it gave one."""
+    """The drive is in a fault state; `code` is its error code (603Fh), or None."""
 
     def __init__(self, message: str, code: int | None = None) -> None:
         super().__init__(message)
@@ -133,11 +133,11 @@ class LimitError(SafetyError):
 
 
 class CorrectionBoundError(SafetyError):
-    """A correction is larger (µm), or changes more per mm, than the axis file allows; it is not used."""
+    """A correction is larger or steeper than the axis file allows; it is not used."""
 
 
 class UnprovenError(SafetyError):
-    """Runs with a correction in force do not show the improvement that it was computed for; it is not used."""
+    """A correction did not bring the improvement that it was computed for; it is not used."""
 
 
 class MotionTimeoutError(SafetyError):
@@ -157,7 +157,7 @@ class HeldUnderPowerError(SafetyError):
 
 
 class MeasurementLostError(SafetyError):
-    """The instrument's signal is gone: beam lost, no fresh reading, or readings that disagree with the motor.
+    """The instrument gives no fresh reading, has lost its beam, or disagrees with the motor.
 
     followed_ns: time of the last reading that was seen to follow the motor, where they disagree: what was read since may be wrong.
     None where every reading before the loss is good.

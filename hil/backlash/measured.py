@@ -59,7 +59,7 @@ class BacklashResult(Result):
 
     @property
     def verdict(self) -> str:
-        """Why there is no mean, "" where there is one."""
+        """Why there is no mean, "" if there is one."""
         exceeded = self.raw.exceeded
         if exceeded is None:
             return ""

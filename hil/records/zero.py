@@ -43,7 +43,7 @@ _SLACK_S = 5.0
 
 
 class ZeroError(StateError):
-    """The axis is not in the expected zero, or this cannot be shown."""
+    """The zero of the axis is not the expected one, or this cannot be shown."""
 
 
 @dataclass(frozen=True)

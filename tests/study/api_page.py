@@ -18,8 +18,13 @@ writes this page.
 """
 ALIKE = ("form", "sentence", "records", "raw", "axis", "certificate")
 """Members that say the same of every result; they are described once, at the base class."""
-OWN = ("confine", "hold", "forget")
-"""Members of `Axis` that only this program calls."""
+OWN = (
+    "Axis.confine",
+    "Axis.hold",
+    "Axis.forget",
+    *(f"BacklashResult.{name}" for name in ("table", "parameters", "identity")),
+)
+"""Members that only this program calls."""
 SECTIONS = {"measurement": values.Measuring, "lost_motion": values.Reversing, "backlash": values.Winding}
 """Values of a call, by section of the axis file."""
 
@@ -47,8 +52,11 @@ def text() -> str:
     for section, given in SECTIONS.items():
         keys = ", ".join(f"`{key}`" for key in inspect.get_annotations(given))
         parts.append(f"- of `[{section}]` as `**{given.__name__}`: {keys}")
-    parts.append("\n## Errors\n\nEach with its base class in brackets.\n")
-    parts += [f"- `hil.{name}` ({one.__bases__[0].__name__}): {in_short(one)}" for name, one in errors.items()]
+    parts.append("\n## Errors\n\nAll are a `hil.BridgeError`; brackets name the error that one is a kind of.\n")
+    for name, one in errors.items():
+        base = one.__bases__[0].__name__
+        kind = f" ({base})" if base in errors and base != "BridgeError" else ""
+        parts.append(f"- `hil.{name}`{kind}: {in_short(one)}")
     return re.sub(r"\n{3,}", "\n\n", "\n".join(parts)) + "\n"
 
 
@@ -61,7 +69,7 @@ def members(one: type) -> Iterator[str]:
     if left := [name for name in fields if not any(f"`{name}`" in part.split(": ")[0] for part in parts)]:
         yield ", ".join(f"`{name}`" for name in left)
     for name, member in vars(one).items():
-        if name.startswith("_") or name in fields or name in alike or name in OWN:
+        if name.startswith("_") or name in fields or name in alike or f"{one.__name__}.{name}" in OWN:
             continue
         function = member.__func__ if isinstance(member, classmethod) else member
         if inspect.isfunction(function):

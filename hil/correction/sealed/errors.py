@@ -25,7 +25,7 @@ class SealedError(InputError):
 
 
 class WrongPasswordError(SealedError):
-    """The file is intact and signed, but this password does not open the entry."""
+    """The file is intact, but the password is wrong."""
 
 
 class WrongKeyPasswordError(WrongPasswordError):
