@@ -17,6 +17,7 @@ from drivers.clock import WallClock
 from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.axis.connections import BENCH_MACHINES, BENCH_TABLES
+from hil.machine.likeness import read_likeness
 from hil.machine.simulated_file import axis_text, instrument_text
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_faults import CanFaultKind
@@ -26,6 +27,7 @@ from sim_backends.fault_text import Faults, fault_names, parse_faults
 from sim_backends.faults import FaultKind
 from sim_backends.gauge import GAUGE_KINDS, GaugeParameters
 from sim_backends.homing import HOMING_METHODS
+from sim_backends.likeness import alike
 from sim_backends.machine import MODBUS_SHAPES, CanDrive, modbus_face, modbus_server, open_bus
 from sim_backends.maker_file import read_maker_file
 from sim_backends.modbus_faults import WireFaultKind
@@ -161,6 +163,13 @@ def _add_homing(parser: argparse.ArgumentParser) -> None:
 def _add_machine(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the machine")
     group.add_argument("--machine", choices=BENCH_MACHINES, default="typical", help="default typical")
+    group.add_argument(
+        "--like",
+        metavar="X-campaign",
+        type=Path,
+        help="in place of --machine, one with the errors that were measured of a real axis: folder of its campaigns; a likeness to"
+        " rehearse on, no proof",
+    )
     group.add_argument("--seed", type=int, default=0, help="which of those machines (default 0)")
     group.add_argument(
         "--kind",
@@ -187,7 +196,7 @@ def _parameters(args: argparse.Namespace, faults: Faults) -> BenchParameters:
         raise InputError(f"--rate is {args.rate:g}, expected 1 to 2000 readings per second")
     if args.seed < 0:
         raise InputError(f"--seed is {args.seed}, expected a whole number >= 0")
-    parameters = known_bench(args.machine, args.seed)
+    parameters = known_bench(args.machine, args.seed) if args.like is None else alike(read_likeness(args.like))
     laser = replace(parameters.laser, rate_hz=args.rate)
     gauge = None if args.kind == "umd" else GaugeParameters(args.kind, rate_hz=args.rate)
     homing_method = getattr(args, "homing", parameters.homing_method)  # of a drive on a wire only
@@ -301,8 +310,21 @@ def _run(
         laser = {"kind": args.kind, "port": bench.laser_path} if bench.has_instrument else None
         if getattr(args, "axis_file", None):
             instrument = instrument_text(args.kind, bench.laser_path)
-            replace_file(args.axis_file, axis_text(bench.parameters, drive or {}, instrument, counts_per_rev).encode())
+            name = "X" if args.like is None else f"{args.like.resolve().name.removesuffix('-campaign')}-like"
+            text = axis_text(bench.parameters, drive or {}, instrument, counts_per_rev, name)
+            replace_file(args.axis_file, text.encode())
         machine = {"kind": args.machine, "seed": args.seed, "length_mm": bench.parameters.plant.length_mm}
+        if args.like is not None:
+            machine = {
+                **machine,
+                "kind": "likeness",
+                "like": str(args.like),
+                "effects": dict(read_likeness(args.like).effects),
+            }
+            print(
+                f"hil: a likeness of the axis in {args.like} to rehearse on; it proves nothing of that axis",
+                file=sys.stderr,
+            )
         print(json.dumps({"machine": machine, "drive": drive, "laser": laser}), flush=True)
         end = None if args.seconds is None else pace.wall.deadline(args.seconds)
         run_in_real_time(

@@ -265,6 +265,7 @@ class AxisConfig(DriveAxis):
                 "seed": self.drive.seed,
                 "homing": asdict(self.drive.homing),
                 **({"simulated": True} if self.drive.simulated else {}),
+                **({} if self.drive.like is None else {"like": str(self.drive.like)}),
             },
             "instrument": {
                 name: value

@@ -30,8 +30,8 @@ _KEYS = {
     "canopen": "interface channel bitrate node_id axis sdo_timeout_s sample_timeout_s heartbeat_s guard_s eds homing correction_table"
     " velocity_unit acceleration_unit modes simulated",
     "modbus": "register_map url unit baud simulated",
-    "bench": "machine seed face homing correction_table profile velocity_unit acceleration_unit modes",
-    "bench over Modbus": "machine seed face register_map",
+    "bench": "machine seed like face homing correction_table profile velocity_unit acceleration_unit modes",
+    "bench over Modbus": "machine seed like face register_map",
 }
 _NEEDS = {"canopen": ["node_id"], "modbus": ["register_map", "url"]}
 
@@ -96,6 +96,7 @@ class DriveConfig:
     baud: Annotated[int, Limits(ge=300, le=4_000_000)] = 19_200
     machine: Annotated[str, one_of(*BENCH_MACHINES)] = "typical"
     seed: Count = 0
+    like: Annotated[File | None, Limits(description="the folder of a real axis's campaigns")] = None
     face: Annotated[str, one_of(*BENCH_FACES)] = "canopen"
     correction_table: MapFile = ""
     profile: Annotated[str, Limits(description="the name of a drive profile")] = ""

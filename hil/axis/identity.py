@@ -7,10 +7,16 @@ from pathlib import Path
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
 
 
+def bench_machine(axis: DriveAxis) -> str:
+    """The simulated machine of the bench."""
+    like = axis.drive.like
+    return f"machine {axis.drive.machine}" if like is None else f"a likeness of {like.name}, which proves nothing of it"
+
+
 def drive_in_words(axis: DriveAxis) -> str:
     """The drive as text."""
     if axis.drive.backend == "bench":
-        return f"bench, {axis.drive.machine} machine, as {axis.drive.face}"
+        return f"bench, {bench_machine(axis)}, as {axis.drive.face}"
     where = {
         "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
         "modbus": f"Modbus unit {axis.drive.node_id} on {axis.drive.url}, {axis.drive.register_map}",
@@ -20,7 +26,7 @@ def drive_in_words(axis: DriveAxis) -> str:
 
 def identity(axis: AxisConfig) -> dict[str, str]:
     """The set-up that a repetition needs, name -> text."""
-    simulated = f"simulated CiA-402 drive on a virtual CAN bus, machine {axis.drive.machine}, seed {axis.drive.seed}"
+    simulated = f"simulated CiA-402 drive on a virtual CAN bus, {bench_machine(axis)}, seed {axis.drive.seed}"
     drive = simulated if axis.drive.backend == "bench" else drive_in_words(axis)
     how = axis.measurement
     return {

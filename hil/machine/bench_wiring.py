@@ -13,11 +13,13 @@ from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
 from hil.machine.bench_conditions import BenchConditions
 from hil.machine.instruments import build_instrument
+from hil.machine.likeness import read_likeness
 from hil.machine.links import guarded
 from hil.machine.machine import Machine, session_of
 from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GaugeParameters
+from sim_backends.likeness import alike
 from sim_backends.own_table import TableForm, known_table
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
@@ -29,7 +31,9 @@ STRAIGHTNESS = "straightness_um"
 
 
 def bench_parameters(axis: DriveAxis) -> BenchParameters:
-    """The simulated machine that an axis file with backend "bench" names."""
+    """The simulated machine that an axis file with backend "bench" names. Raises InputError as `read_likeness` and `alike`."""
+    if axis.drive.like is not None:
+        return alike(read_likeness(axis.drive.like))
     return known_bench(axis.drive.machine, axis.drive.seed)
 
 

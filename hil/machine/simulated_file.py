@@ -22,7 +22,11 @@ def instrument_text(kind: str, port: str) -> str:
 
 
 def axis_text(
-    parameters: BenchParameters, drive: dict[str, Any], instrument: str, counts_per_rev: int | None = None
+    parameters: BenchParameters,
+    drive: dict[str, Any],
+    instrument: str,
+    counts_per_rev: int | None = None,
+    name: str = "X",
 ) -> str:
     """An axis file for the machine, with targets over its whole travel. counts_per_rev: of a drive with a maker's own units.
 
@@ -37,7 +41,7 @@ def axis_text(
 # The machine of a running `hil sim`.
 
 [axis]
-name = "X"
+name = {json.dumps(name)}
 travel_min_mm = {limits.travel_min_mm!r}
 travel_max_mm = {limits.travel_max_mm!r}
 max_velocity_mm_s = {limits.max_velocity_mm_s!r}

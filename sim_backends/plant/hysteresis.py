@@ -10,6 +10,8 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass, field
 
+from sim_backends.plant.shapes import Points, between
+
 
 @dataclass(frozen=True)
 class Backlash:
@@ -18,7 +20,7 @@ class Backlash:
     amount_um: distance between the two sides at the middle of the travel; slope/curve: relative change of it at the end of the
     travel against the middle, linear and quadratic; gap_fraction: share of it that is clearance without force (the rest is a spring);
     stribeck: additional wind-up before the table breaks away, relative to that when sliding; it is lost over
-    breakaway_mm of travel (where one half of it is gone).
+    breakaway_mm of travel (where one half of it is gone). along_um: a measured distance, added to it.
     """
 
     amount_um: float = 0.0
@@ -29,13 +31,20 @@ class Backlash:
     gap_fraction: float = 0.0
     stribeck: float = 0.0
     breakaway_mm: float = 0.02
+    along_um: Points = ()
+
+    @property
+    def is_constant(self) -> bool:
+        """Whether the distance is the same along the axis."""
+        return self.slope == 0.0 and self.curve == 0.0 and not self.along_um
 
     def half_width_mm(self, x_mm: float) -> float:
         """Half of the distance between the two sides at x, mm."""
-        if self.slope == 0.0 and self.curve == 0.0:
+        if self.is_constant:
             return self.amount_um * 0.0005
         s = (x_mm - self.middle_mm) / self.half_travel_mm
-        return max(0.0, self.amount_um * 0.0005 * (1.0 + self.slope * s + self.curve * s * s))
+        own_um = self.amount_um * (1.0 + self.slope * s + self.curve * s * s)
+        return max(0.0, 0.0005 * (own_um + between(self.along_um, x_mm)))
 
 
 @dataclass(frozen=True)
@@ -86,7 +95,7 @@ class Reversal:
             self.state.stops_mm = [0.0] * len(lost_motion.elements)
         # (half of the travel to yield, loss in µm per mm of deflection)
         self._stops = tuple((t / 2.0, s / t) for t, s in lost_motion.elements)
-        self._constant_half_mm = None if backlash.slope or backlash.curve else backlash.half_width_mm(0.0)
+        self._constant_half_mm = backlash.half_width_mm(0.0) if backlash.is_constant else None
 
     def step(self, motor_mm: float) -> None:
         """Move the motor to a position, mm, without a reversal in between."""

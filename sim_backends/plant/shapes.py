@@ -8,16 +8,30 @@ from __future__ import annotations
 
 import math
 import random
+from bisect import bisect_left
 from dataclasses import dataclass
 from functools import cached_property
+
+Points = tuple[tuple[float, float], ...]
+"""A measured curve: places, mm, ascending, and the value at each."""
+
+
+def between(points: Points, x_mm: float) -> float:
+    """A measured curve at x, straight between its points and level beyond them; 0 without any."""
+    if not points:
+        return 0.0
+    after = bisect_left(points, (x_mm,))
+    (low_mm, low), (high_mm, high) = points[max(0, after - 1)], points[min(after, len(points) - 1)]
+    return low if high_mm == low_mm else low + (high - low) * (x_mm - low_mm) / (high_mm - low_mm)
 
 
 @dataclass(frozen=True)
 class SmoothShape:
-    """value(x) = slope·x + Σ a·sin(k·x + φ) − its value at 0; x in mm, value in the unit of the amplitudes."""
+    """value(x) = slope·x + Σ a·sin(k·x + φ) + the measured curve − its value at 0; x in mm, value in the unit of the amplitudes."""
 
     slope_per_mm: float = 0.0
     waves: tuple[tuple[float, float, float], ...] = ()  # (amplitude, wave number in rad/mm, phase in rad)
+    points: Points = ()
 
     @classmethod
     def random(
@@ -37,11 +51,11 @@ class SmoothShape:
 
     def value(self, x_mm: float) -> float:
         """The curve at x, in its own unit; 0 at x = 0."""
-        total = self.slope_per_mm * x_mm - self._at_zero
+        total = self.slope_per_mm * x_mm + between(self.points, x_mm) - self._at_zero
         for amplitude, k, phase in self.waves:
             total += amplitude * math.sin(k * x_mm + phase)
         return total
 
     @cached_property
     def _at_zero(self) -> float:
-        return sum(amplitude * math.sin(phase) for amplitude, _, phase in self.waves)
+        return sum(amplitude * math.sin(phase) for amplitude, _, phase in self.waves) + between(self.points, 0.0)

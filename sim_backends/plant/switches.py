@@ -44,7 +44,7 @@ def _pitch_shape(axis: FeedAxis, size_um: float) -> PlantParameters:
     """Size: peak of a smooth shape over the length."""
     p = axis.parameters
     old, new = p.screw.pitch_um, SmoothShape.random(p.seed + 101, size_um, p.length_mm)
-    shape = SmoothShape(old.slope_per_mm, old.waves + new.waves)
+    shape = replace(old, waves=old.waves + new.waves)
     return replace(p, screw=replace(p.screw, pitch_um=shape))
 
 
