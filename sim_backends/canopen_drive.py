@@ -459,6 +459,9 @@ class _Service:
     def stop(self) -> None:
         """End the thread; raises the error that ended it."""
         self._stopping.set()
+        if isinstance(self._bus, VirtualBus):
+            with self._bus.queue.not_empty:
+                self._bus.queue.not_empty.notify_all()
         self._thread.join()
         if self._error is not None:
             raise self._error
@@ -482,9 +485,17 @@ class _Service:
 
     def _run_on_request(self) -> None:
         while not self._stopping.is_set():
-            if _readable(self._bus, 0.05):
+            if self._readable(0.05):
                 with self._lock:
                     self._handle(0.0)
+
+    def _readable(self, timeout_s: float) -> bool:
+        """Wait until a frame can be taken, and leave it there: taking and handling must be one step under the lock."""
+        if isinstance(self._bus, VirtualBus):
+            frames = self._bus.queue
+            with frames.not_empty:
+                return frames.not_empty.wait_for(lambda: bool(frames.queue) or self._stopping.is_set(), timeout_s)
+        return bool(select.select([self._bus.fileno()], [], [], timeout_s)[0])
 
     def _run_in_real_time(self) -> None:
         while not self._stopping.is_set():
@@ -507,12 +518,3 @@ class _Service:
             while self._handle(0.0):
                 pass
             self._station.layer.tick(now_ns)
-
-
-def _readable(bus: can.BusABC, timeout_s: float) -> bool:
-    """Wait until a frame can be taken, and leave it there: taking and handling must be one step under the lock."""
-    if isinstance(bus, VirtualBus):
-        frames = bus.queue
-        with frames.not_empty:
-            return frames.not_empty.wait_for(lambda: len(frames.queue) > 0, timeout_s)
-    return bool(select.select([bus.fileno()], [], [], timeout_s)[0])

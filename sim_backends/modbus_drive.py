@@ -1,4 +1,4 @@
-"""Simulated drives on a real Modbus wire: a TCP server on loopback, or a slave on a pseudo-terminal.
+"""Simulated drives on a real Modbus wire: a TCP server on loopback, a slave on a pseudo-terminal, or a `Line` in this process.
 
 Ports, the one thread behind them, and the faults of the wire. Frames are in `modbus_framing`, registers in the faces.
 One lock makes receive-and-handle one step, so that everything received before simulated time advances has been handled by then.
@@ -31,7 +31,7 @@ _FOREVER_NS = 3600 * NS_PER_S
 
 @dataclass
 class _Port:
-    """A file descriptor on which requests come in."""
+    """A file descriptor on which requests come in; a negative one: a `Line`, which has none."""
 
     handle: int
     send: Callable[[bytes], None]
@@ -53,7 +53,7 @@ class _Late:
 
 
 class ModbusServer:
-    """Units on one wire. faces: unit id -> `Face`. Start it with `tcp_server` or `rtu_slave` below.
+    """Units on one wire. faces: unit id -> `Face`. Start it with `tcp_server` or `rtu_slave` below; a `line` needs no start.
 
     `faults.add(...)` arms a fault at any time; `requests` is the number received, `advance` is for the clock. remember: keep every
     request in `seen`. The next `advance`, or `stop`, raises an error of its thread.
@@ -98,6 +98,15 @@ class ModbusServer:
         self._ports[master] = _Port(master, send, lambda: None, RtuDecoder())
         self._start()
 
+    def line(self, *, serial: bool) -> Line:
+        """A new line to the units without a socket or thread: a request is handled while it is sent."""
+        received = bytearray()
+        decoder = RtuDecoder() if serial else TcpDecoder()
+        port = _Port(-1 - next(self._numbers), received.extend, lambda: None, decoder)
+        with self._lock:
+            self._ports[port.handle] = port
+        return Line(self, port, received)
+
     def _start(self) -> None:
         self._thread.start()
 
@@ -105,7 +114,8 @@ class ModbusServer:
         """End the thread and close everything open; raises an error of the thread."""
         self._stopping = True
         os.write(self._wake_write, b"x")
-        self._thread.join()
+        if self._thread.ident is not None:
+            self._thread.join()
         with self._lock:
             for port in list(self._ports.values()):
                 port.hang_up()
@@ -172,7 +182,7 @@ class ModbusServer:
         try:
             while not self._stopping:
                 with self._lock:
-                    handles = [self._wake_read, *self._ports]
+                    handles = [self._wake_read, *(handle for handle in self._ports if handle >= 0)]
                     if self._listener is not None:
                         handles.append(self._listener.fileno())
                     waiting = any(
@@ -218,7 +228,7 @@ class ModbusServer:
         self._wake()  # the thread has to watch it too, whichever thread accepted it
 
     def _receive(self, port: _Port) -> None:
-        while port.handle in self._ports:
+        while port.handle >= 0 and port.handle in self._ports:
             try:
                 data = os.read(port.handle, 4096)
             except BlockingIOError:
@@ -228,10 +238,13 @@ class ModbusServer:
             if not data:
                 self._hang_up(port)
                 return
-            for frame in port.decoder.feed(data):
-                self._handle(port, frame)
-            if isinstance(port.decoder, TcpDecoder) and port.decoder.broken:
-                self._hang_up(port)
+            self._feed(port, data)
+
+    def _feed(self, port: _Port, data: bytes) -> None:
+        for frame in port.decoder.feed(data):
+            self._handle(port, frame)
+        if isinstance(port.decoder, TcpDecoder) and port.decoder.broken:
+            self._hang_up(port)
 
     def _silence(self) -> None:
         for port in list(self._ports.values()):
@@ -298,6 +311,37 @@ class ModbusServer:
             port.send(pack(reply.with_pdu(_shortened(reply.pdu))))
         elif fault.kind is WireFaultKind.DROP and not port.serial:
             self._hang_up(port)
+
+
+class Line:
+    """The master's end of a line in this process: `ModbusServer.line`. Bytes that were not sent when `send` returns come as simulated
+    time passes, or never."""
+
+    def __init__(self, server: ModbusServer, port: _Port, received: bytearray) -> None:
+        self._server, self._port, self._received = server, port, received
+
+    @property
+    def is_open(self) -> bool:
+        """False once either end has hung up."""
+        return self._port.handle in self._server._ports
+
+    def send(self, data: bytes) -> None:
+        """Handle the requests in it. Raises ConnectionResetError for a line that is closed."""
+        with self._server._lock:
+            if not self.is_open:
+                raise ConnectionResetError("connection lost")
+            self._server._feed(self._port, data)
+
+    def take(self) -> bytes:
+        """What has come since the last call."""
+        with self._server._lock:
+            data = bytes(self._received)
+            self._received.clear()
+            return data
+
+    def close(self) -> None:
+        with self._server._lock:
+            self._server._hang_up(self._port)
 
 
 def _shortened(pdu: bytes) -> bytes:

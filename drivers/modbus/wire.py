@@ -186,13 +186,14 @@ class _Requests(ModbusClientMixin[ModbusPDU]):
 
 
 class PymodbusWire:
-    """`Wire` with pymodbus's framers over a port of this package. check: `Clock.check_interrupt`, called at least every `IO_SLICE_S`.
+    """`Wire` with pymodbus's framers over a port of this package. check: `Clock.check_interrupt`, called at least every `IO_SLICE_S`;
+    port: used instead of the endpoint's.
 
     An exchange takes at most the endpoint's time-out and `_MOST_BYTES`, whatever comes in meanwhile; on a serial line a reply that
     has begun by then may take the time of the longest frame more.
     """
 
-    def __init__(self, endpoint: Endpoint, check: Check = lambda: None) -> None:
+    def __init__(self, endpoint: Endpoint, check: Check = lambda: None, port: Port | None = None) -> None:
         self.endpoint = endpoint
         logger = logging.getLogger("pymodbus")
         if not logger.handlers:  # its messages come back as errors; without a handler they would also go to stderr
@@ -200,11 +201,11 @@ class PymodbusWire:
         self._port: Port
         self._framer: FramerBase
         if isinstance(endpoint, TcpEndpoint):
-            self._port = TcpPort(endpoint.host, endpoint.port, endpoint.timeout_s, check)
+            self._port = port or TcpPort(endpoint.host, endpoint.port, endpoint.timeout_s, check)
             self._framer = FramerSocket(DecodePDU(False))
             self._numbers, self._post_numbers = over_and_over(range(1, 0x8000)), over_and_over(range(0x8000, 0x10000))
         else:
-            self._port = SerialPort(
+            self._port = port or SerialPort(
                 endpoint.device,
                 endpoint.baud,
                 parity=endpoint.parity,

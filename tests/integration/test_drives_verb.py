@@ -241,6 +241,7 @@ def test_an_axis_file_that_exists_is_kept(tmp_path: Path, capfd: pytest.CaptureF
     assert (tmp_path / "X.toml").read_text() == "mine"
 
 
+@pytest.mark.outside  # real time-outs
 def test_a_wrong_node_id_is_named_with_its_channel_and_who_is_there(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -285,6 +286,7 @@ def test_a_simulated_drive_is_known_by_its_name_over_modbus_too(tmp_path: Path) 
     assert load_axis(path).drive.is_simulated
 
 
+@pytest.mark.outside  # real time-outs
 def test_a_wrong_unit_is_named_with_who_is_there(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     with tcp_server({3: VendorRegisters(SimulatedServo(BareShaft()), counts_per_rev=10_000)}, WallClock()) as (_, port):
         status, _ = new(tmp_path, "vendor_style", port, "--counts-per-rev", "10000", "--unit", "5", "--timeout", "1")

@@ -1,4 +1,4 @@
-"""ModbusDrive over real wires to the simulated drive: what it spares a drive, what it refuses, and how it behaves in trouble."""
+"""ModbusDrive on a line in this process: what it spares a drive, what it refuses, and how it behaves in trouble."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
+from support.modbus_in_turn import in_turn
 
 from drivers.drive import Capability, DriveLimits, DriveState
 from drivers.errors import (
@@ -39,7 +40,7 @@ from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_profile import Defect
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
-from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
+from sim_backends.modbus_drive import ModbusServer
 from sim_backends.modbus_faults import WireFault, WireFaultKind
 from sim_backends.modbus_registers import Bank, Space, Value
 from sim_backends.modbus_vendor import VendorRegisters
@@ -48,7 +49,6 @@ from sim_backends.servo import ServoParameters, SimulatedServo
 COUNTS = 100_000
 LIMITS = DriveLimits(-3.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
 SCALING = AxisScaling(COUNTS, 10.0)
-TIMEOUT_S = 0.25
 CIA402, VENDOR = "cia402_over_modbus", "vendor_style"
 UNIT = 3
 
@@ -92,14 +92,9 @@ def rig(
     )
     clock.attach(servo.advance, bearable=servo.bearable)
     face = make_face(name, servo) if make is None else make(servo)
-    faces = {UNIT: face}
-    with rtu_slave(faces, clock) if serial else tcp_server(faces, clock) as (server, place):
-        endpoint = (
-            RtuEndpoint(place, 115_200, "N", timeout_s=TIMEOUT_S)
-            if isinstance(place, str)
-            else TcpEndpoint("127.0.0.1", place, TIMEOUT_S)
-        )
-        link = ModbusLink(endpoint, clock)
+    with in_turn({UNIT: face}, clock) as (server, make_wire):
+        endpoint = RtuEndpoint("in turn", 115_200, "N") if serial else TcpEndpoint("in turn", 0)
+        link = ModbusLink(endpoint, clock, make_wire=make_wire)
         drive_map = load_drive_map(map_path or name)
         drive = ModbusDrive("X", SCALING, LIMITS, clock, link=link, unit=UNIT, drive_map=drive_map, wear=wear)
         yield Rig(drive, face, servo, server, clock, link)
@@ -252,7 +247,7 @@ def test_a_travel_that_the_registers_do_not_hold_is_refused_before_a_request(
         AxisScaling(counts_per_rev, 10.0),
         replace(LIMITS, travel_max_mm=travel_max_mm),
         clock,
-        link=ModbusLink(TcpEndpoint("127.0.0.1", 1, TIMEOUT_S), clock),
+        link=ModbusLink(TcpEndpoint("127.0.0.1", 1, 0.25), clock),
         unit=UNIT,
         drive_map=load_drive_map(name),
     )

@@ -70,6 +70,7 @@ def test_a_map_that_does_not_fit_says_so_and_the_unit_is_there_all_the_same(tmp_
         assert unit["state"] is None
 
 
+@pytest.mark.outside  # real time-outs
 def test_units_on_a_serial_line_are_found_and_silence_is_nobody(tmp_path: Path) -> None:
     face = Cia402Registers(SimulatedServo(BareShaft()))
     with rtu_slave({2: face}, WallClock()) as (server, path), scanned(tmp_path) as scan:
@@ -88,6 +89,7 @@ def test_a_server_that_answers_every_unit_is_told_for_one(tmp_path: Path, capsys
     assert "is one device" in capsys.readouterr().out
 
 
+@pytest.mark.outside  # real time-outs
 def test_nodes_of_a_can_bus_are_found_and_a_listener_hears_them(tmp_path: Path) -> None:
     channel = f"scan-{tmp_path}"
     with (
@@ -109,6 +111,7 @@ def test_nodes_of_a_can_bus_are_found_and_a_listener_hears_them(tmp_path: Path) 
         assert threading.active_count() >= 3
 
 
+@pytest.mark.outside  # real time-outs
 def test_a_drive_process_is_found_through_a_serial_can_adapter(tmp_path: Path) -> None:
     with sim("drive", "--interface", "slcan-pty", "--node", "42") as machine, scanned(tmp_path) as scan:
         place = machine.place["drive"]
