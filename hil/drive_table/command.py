@@ -4,51 +4,32 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import replace
-from pathlib import Path
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Any
 
 from drivers.correction_table import TableDescription
-from drivers.drive import ServoDrive
-from drivers.errors import CapabilityError
-from hil.axis.axis_file import AxisConfig, DriveAxis, iso_targets, load_axis, load_drive_axis
-from hil.axis.zero import made_with_keeper, zero_keeper
-from hil.correction.compensation import Compensation
-from hil.correction.formats.common import tables_only
-from hil.correction.store import compensation_in_force
-from hil.correction.tables import DirectionalTable
-from hil.drive_table import (
-    DEVIATION_UM,
-    DriveCurve,
-    DriveTable,
-    check_curve,
-    drive_table,
-    largest_deviation_um,
-    wanted_of,
+from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
+from hil.drive_table import DEVIATION_UM, DriveTable
+from hil.drive_table.change import Snapshot
+from hil.drive_table.job import (
+    NOTE,
+    PROVERS,
+    OpenAxis,
+    Proving,
+    Stored,
+    download,
+    held,
+    made_table,
+    prove,
+    remove,
+    require_description,
 )
-from hil.drive_table.change import (
-    Snapshot,
-    TableChange,
-    changing,
-    held_table,
-    remember_zero,
-    remembered_made_with,
-    remembered_zero,
-    snapshot,
-    zero_note,
-)
-from hil.drive_table.proof import TOLERANCE_UM, Proof, ProofMotion, prove_by_drive, prove_by_instrument
-from hil.machine.events import Listener
-from hil.machine.machine import Machine
-from hil.machine.supervisor import Supervisor
-from hil.machine.watched_axis import WatchedAxis
-from hil.machine.wiring import connected, connected_drive, described_table, predicted_table_s
-from hil.records.journal import Campaign
-from hil.records.made_with import MadeWith, MadeWithError
-from hil.records.zero import read_zero
+from hil.drive_table.proof import TOLERANCE_UM, Proof
+from hil.machine.wiring import connected, connected_drive, predicted_table_s
 from hil.ui.terminal.axis_options import load_stored, open_store, tell_bench
 from hil.ui.terminal.options import add_axis_arguments, add_password_options, positive, seed
-from hil.ui.terminal.output import number, print_facts, print_table, write_json
+from hil.ui.terminal.output import finish, number, print_facts, print_table, write_json
 from hil.ui.terminal.progress import terminal_progress
 
 
@@ -79,16 +60,6 @@ def made_facts(made: DriveTable) -> dict[str, str]:
     }
 
 
-def made_form(made: DriveTable) -> dict[str, Any]:
-    """The same as plain values, µm."""
-    return {
-        "points": len(made.raw.plus),
-        "deviation_um": made.deviation_um,
-        "rounding_um": made.rounding_um,
-        "largest_um": made.largest_um,
-    }
-
-
 def print_proof(proof: Proof | None) -> None:
     """Prints the proof position by position, and the verdict."""
     if proof is None:
@@ -103,24 +74,6 @@ def print_proof(proof: Proof | None) -> None:
     print(f"{'measured' if proof.measured else 'by the drive’s own value'}: {proof.verdict}")
 
 
-def proof_form(axis: str, proof: Proof | None) -> dict[str, Any]:
-    """Axis, verdict and every position as plain values."""
-    form: dict[str, Any] = {"axis": axis, "good": proof is None or proof.good, "proof": None}
-    if proof is not None:
-        form["proof"] = {
-            "measured": proof.measured,
-            "verdict": proof.verdict,
-            "mean_um": proof.mean_um,
-            "worst_um": proof.worst.difference_um,
-            "u95_um": proof.u95_um,
-            "tolerance_um": proof.tolerance_um,
-            "share": proof.share,
-            "places": [vars(place) for place in proof.places],
-        }
-    return form
-
-
-NOTE = "drive-table-before.json"
 EXAMPLE = """\
 example:
   hil params table show X.toml                        what the drive holds, and whether it corrects by it
@@ -166,7 +119,7 @@ def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
 def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
     job.add_argument(
         "--prove-by",
-        choices=("instrument", "drive", *(["nothing"] if unproven else [])),
+        choices=[one for one in PROVERS if unproven or one != "nothing"],
         default="instrument",
         help="measure it (default), or read the value that the drive adds" + (", or neither" if unproven else ""),
     )
@@ -205,21 +158,38 @@ def _between(low: int, high: int) -> Any:
     return convert
 
 
-# -- show ----------------------------------------------------------------------------------------------------------------
+def _proving(args: argparse.Namespace) -> Proving:
+    return Proving(args.prove_by, args.positions, args.runs, args.tolerance_um, args.seed)
+
+
+def _stored(args: argparse.Namespace, axis: AxisConfig) -> Stored:
+    return Stored.of(load_stored(open_store(args, axis, writing=False)), leave_out_effects=args.tables_only)
+
+
+@contextmanager
+def _open(axis: AxisConfig, how: Proving) -> Iterator[OpenAxis]:
+    """The axis, with its instrument where that proves."""
+    with ExitStack() as stack:
+        listener = stack.enter_context(terminal_progress())
+        if how.by == "instrument":
+            session = stack.enter_context(connected(axis)).session
+            yield OpenAxis(axis, session.drive, session, listener)
+        else:
+            yield OpenAxis(axis, stack.enter_context(connected_drive(axis)), None, listener)
+
+
+# -- jobs ----------------------------------------------------------------------------------------------------------------
 def _show(args: argparse.Namespace) -> int:
     axis = load_drive_axis(args.axis)
     if args.dry_run:
         print(f"axis {axis.name}: would read the drive's table and move nothing")
         return 0
     with connected_drive(axis) as drive:
-        table = held_table(drive)
-        found = snapshot(table)
-        curve = DriveCurve(table.description, found.raw, drive.scaling)
-    nodes = curve.nodes_mm
-    plus, minus = curve.correction_um(nodes, 1), curve.correction_um(nodes, -1)
-    zero = remembered_zero(_zero_note(axis), found.raw)
-    made_in = "not known" if zero is None else zero.describe()
-    print_facts({**description_facts(table.description), **found_facts(found), "made in the zero": made_in})
+        there = held(axis, drive)
+    nodes = there.curve.nodes_mm
+    plus, minus = there.curve.correction_um(nodes, 1), there.curve.correction_um(nodes, -1)
+    made_in = "not known" if there.zero is None else there.zero.describe()
+    print_facts({**description_facts(there.description), **found_facts(there.found), "made in the zero": made_in})
     if (axis.store.directory / NOTE).exists():
         print(f"a change of it was broken off; what was there before is in {axis.store.directory / NOTE}")
     rows = [[number(p, 4), number(u, 2), number(d, 2)] for p, u, d in zip(nodes, plus, minus, strict=True)]
@@ -228,19 +198,15 @@ def _show(args: argparse.Namespace) -> int:
         print(f"and {len(rows) - _SHOWN_ROWS} more (--json has them all)")
     if args.json:
         values = {"position_mm": nodes.tolist(), "plus_um": plus.tolist(), "minus_um": minus.tolist()}
-        write_json(args.json, {"axis": axis.name, "enabled": found.enabled, "points": len(nodes), **values})
+        write_json(args.json, {"axis": axis.name, "enabled": there.found.enabled, "points": len(nodes), **values})
     return 0
 
 
-# -- download ------------------------------------------------------------------------------------------------------------
 def _download(args: argparse.Namespace) -> int:
-    axis = load_axis(args.axis)
-    description = described_table(axis)
-    if description is None:
-        raise CapabilityError(f"axis {axis.name}: no map describes a correction table of its drive (correction_table)")
-    compensation, wanted = _stored(args, axis)
-    how = {"deviation_um": args.deviation_um, "bound": axis.correction.bound}
-    made = drive_table(wanted, description, axis.scaling, axis.limits, **how)
+    axis, how = load_axis(args.axis), _proving(args)
+    description = require_description(axis)
+    stored = _stored(args, axis)
+    made = made_table(axis, stored, args.deviation_um)
     facts = {**description_facts(description), **made_facts(made)}
     if args.dry_run:
         print_facts(facts)
@@ -248,156 +214,44 @@ def _download(args: argparse.Namespace) -> int:
         busy = predicted_table_s(axis, made.raw)
         if busy is not None:
             print(f"would keep a free bus busy for at most {busy * 1000:.1f} ms, without the drive's own delays")
-        _print_plan(args, axis)
+        _print_plan(how, axis)
         return 0
-    say, note = _say, axis.store.directory / NOTE
-    zero = zero_keeper(axis).kept(tables=compensation.zero)
-    with terminal_progress() as listener:
-        if args.prove_by == "instrument":
-            with connected(axis) as machine, changing(machine.session.drive, note, say) as change:
-                made_with = _made_with(axis, change.drive, compensation)
-                change.write(made.raw)
-                proof: Proof | None = _by_instrument(args, axis, machine, compensation, listener)
-                _settle(change, proof)
-        else:
-            with connected_drive(axis) as drive, changing(drive, note, say) as change:
-                made_with = _made_with(axis, drive, compensation)
-                change.write(made.raw)
-                proof = None
-                if args.prove_by == "drive":
-                    with Supervisor([WatchedAxis(drive)]) as moving:
-                        proof = _by_drive(args, axis, moving, wanted, listener)
-                _settle(change, proof)
-    if not change.undone:
-        zero = compensation.zero or zero or read_zero(axis.zero_path)
-        remember_zero(_zero_note(axis), made.raw, zero, made_with)
-    print_facts({**facts, "written and read back in": f"{change.seconds * 1000:.0f} ms"})
-    print_proof(proof)
-    print("put back as it was found" if change.undone else "the drive corrects by it now; the bridge must not")
-    if not change.undone:
+    with _open(axis, how) as there:
+        found = download(there, stored, made, how, _say)
+    print_facts({**facts, "written and read back in": f"{found.seconds * 1000:.0f} ms"})
+    print_proof(found.proof)
+    print("put back as it was found" if found.undone else "the drive corrects by it now; the bridge must not")
+    if not found.undone:
         tell_bench(axis)
-    if args.json:
-        write_json(args.json, {**proof_form(axis.name, proof), **made_form(made), "seconds": change.seconds})
-    return 0 if proof is None or proof.good else 1
+    return finish(args, found)
 
 
-def _made_with(axis: AxisConfig, drive: ServoDrive, compensation: Compensation) -> MadeWith:
-    """What the open drive has. Raises MadeWithError unless the tables were made with it; tables that take the reversal out and state
-    nothing must find the drive's own amount 0.
-    """
-    keeper, reversal = made_with_keeper(axis), compensation.corrects_reversal
-    keeper.check(drive, compensation.made_with, reversal=reversal)
-    now = keeper.now(drive, compensation.made_with)
-    held = {address: value for address, value in now.backlash.items() if value}
-    if compensation.made_with is None and reversal and held:
-        raise MadeWithError(
-            f"axis {axis.name}: its tables do not state which parameters the drive had, and with {', '.join(held)} ="
-            f" {', '.join(f'{value:g}' for value in held.values())} the reversal may be taken out twice: calibrate anew"
-            f" (hil calibrate {axis.path}), or set it to 0"
-        )
-    return now
-
-
-def _settle(change: TableChange, proof: Proof | None) -> None:
-    """Switches the table on where it was proven (or no proof was requested), else undoes the change."""
-    if proof is None or proof.good:
-        change.switch(True)
-    else:
-        change.undo()
-
-
-def _stored(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation, DirectionalTable]:
-    """The bridge's compensation, and the table that a drive would have to hold in its place."""
-    compensation = load_stored(open_store(args, axis, writing=False))
-    wanted = wanted_of(compensation, leave_out_effects=args.tables_only)
-    return (
-        replace(compensation, tables=tables_only(compensation, leave_out_effects=True), terms=(), rise=None)
-        if args.tables_only
-        else compensation
-    ), wanted
-
-
-def _zero_note(axis: DriveAxis) -> Path:
-    return zero_note(axis.store.directory, axis.name)
-
-
-# -- prove ---------------------------------------------------------------------------------------------------------------
 def _prove(args: argparse.Namespace) -> int:
-    axis = load_axis(args.axis)
-    compensation, wanted = _stored(args, axis)
+    axis, how = load_axis(args.axis), _proving(args)
+    stored = _stored(args, axis)
     if args.dry_run:
-        _print_plan(args, axis)
+        _print_plan(how, axis)
         return 0
-    zero_keeper(axis).kept(tables=compensation.zero)
-    with terminal_progress() as listener:
-        if args.prove_by == "instrument":
-            with connected(axis) as machine:
-                held = _held(machine.session.drive, wanted, axis)
-                proof = _by_instrument(args, axis, machine, compensation, listener)
-        else:
-            with connected_drive(axis) as drive, Supervisor([WatchedAxis(drive)]) as moving:
-                held = _held(drive, wanted, axis)
-                proof = _by_drive(args, axis, moving, wanted, listener)
-    print(f"by its numbers the drive's table is {held:.3f} µm off the stored ones at most")
-    print_proof(proof)
-    if args.json:
-        write_json(args.json, {**proof_form(axis.name, proof), "deviation_um": held})
-    return 0 if proof.good else 1
+    with _open(axis, how) as there:
+        found = prove(there, stored, how)
+    print(f"by its numbers the drive's table is {found.deviation_um:.3f} µm off the stored ones at most")
+    print_proof(found.proof)
+    return finish(args, found)
 
 
-def _held(drive: Any, wanted: DirectionalTable, axis: AxisConfig) -> float:
-    """Deviation of the drive's table from the stored ones, µm. Raises ZeroError and MadeWithError, before any motion,
-    for a table of another zero, or made with other parameters.
-    """
-    table = held_table(drive)
-    raw = table.read()
-    zero_keeper(axis).kept(tables=remembered_zero(_zero_note(axis), raw))
-    made_with_keeper(axis).check(drive, remembered_made_with(_zero_note(axis), raw), reversal=True)
-    curve = DriveCurve(table.description, raw, axis.scaling)
-    check_curve(curve, axis.limits, axis.correction.bound)  # the proof switches it on
-    return largest_deviation_um(curve, wanted, axis.limits.travel_min_mm, axis.limits.travel_max_mm)
-
-
-def _targets(args: argparse.Namespace, axis: AxisConfig) -> tuple[float, ...]:
-    """Positions spread over the measured travel, off the nodes."""
-    where = axis.measurement.targets_mm
-    return iso_targets(where[0], where[-1], args.positions, 0.3, args.seed)
-
-
-def _by_instrument(
-    args: argparse.Namespace, axis: AxisConfig, machine: Machine, compensation: Compensation, listener: Listener
-) -> Proof:
-    targets = _targets(args, axis)
-    proof = {"targets_mm": list(targets), "runs": args.runs}
-    purpose = {**axis.purpose("prove-drive-table"), **compensation_in_force(compensation), "proof": proof}
-    campaign = Campaign.numbered(axis.store.directory, purpose, resume=False)
-    return prove_by_instrument(
-        machine.session, campaign, compensation, targets, listener, runs=args.runs, tolerance_um=args.tolerance_um
-    )
-
-
-def _by_drive(
-    args: argparse.Namespace, axis: AxisConfig, moving: Supervisor, wanted: DirectionalTable, listener: Listener
-) -> Proof:
-    how = axis.measurement
-    way = ProofMotion(how.velocity_mm_s, how.overrun_mm, how.home)
-    return prove_by_drive(moving, wanted, _targets(args, axis), way, listener, tolerance_um=args.tolerance_um)
-
-
-def _print_plan(args: argparse.Namespace, axis: AxisConfig) -> None:
-    if args.prove_by == "nothing":
+def _print_plan(how: Proving, axis: AxisConfig) -> None:
+    if how.by == "nothing":
         print("would move nothing")
         return
-    targets = ", ".join(f"{target:g}" for target in _targets(args, axis))
-    if args.prove_by == "drive":
+    targets = ", ".join(f"{target:g}" for target in how.targets_mm(axis))
+    if how.by == "drive":
         print(f"would move through {targets} mm up and down, and ask the drive what it adds at each")
         return
     print(
-        f"would measure {targets} mm, {args.runs} runs each of bridge, drive, drive, bridge, the axis disabled in between"
+        f"would measure {targets} mm, {how.runs} runs each of bridge, drive, drive, bridge, the axis disabled in between"
     )
 
 
-# -- remove --------------------------------------------------------------------------------------------------------------
 def _remove(args: argparse.Namespace) -> int:
     axis = load_drive_axis(args.axis)
     if args.dry_run:
@@ -405,14 +259,8 @@ def _remove(args: argparse.Namespace) -> int:
             f"axis {axis.name}: would switch the drive's correction off{'' if args.keep_contents else ' and empty its table'}"
         )
         return 0
-    note: Path = axis.store.directory / NOTE
-    with connected_drive(axis) as drive, changing(drive, note, _say) as change:
-        if args.keep_contents:
-            change.switch(False)
-        else:
-            change.write(type(change.found.raw)())
-            _zero_note(axis).unlink(missing_ok=True)
-        found = snapshot(change.table)
+    with connected_drive(axis) as drive:
+        found = remove(axis, drive, _say, keep_contents=args.keep_contents)
     print_facts(found_facts(found))
     if args.json:
         write_json(args.json, {"axis": axis.name, "enabled": found.enabled, "points": len(found.raw.plus)})

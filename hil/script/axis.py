@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from hil.desk.zero_statement import ZeroStatement
     from hil.machine.session import AxisSession
     from hil.machine.supervisor import Supervisor
+    from hil.script.own_table import OwnTable
     from hil.script.parameters import Parameters
     from hil.script.procedure import Procedure
     from sim_backends.bench import Bench
@@ -101,6 +102,13 @@ class Axis:
         from hil.script.parameters import Parameters  # noqa: PLC0415
 
         return Parameters(self.file, self._carry_out)
+
+    @property
+    def drive_table(self) -> OwnTable:
+        """The correction table that the drive itself holds: show, download, prove, remove."""
+        from hil.script.own_table import OwnTable  # noqa: PLC0415
+
+        return OwnTable(self.file, self._measured_file, self._passwords, self._carry_out)
 
     @property
     def first_run(self) -> int:

@@ -24,12 +24,14 @@ from hil.desk.plan import Move
 from hil.desk.reading import AxisReading
 from hil.desk.result import Result
 from hil.desk.rows import Rows
+from hil.drive_table.result import DriveTableResult
 from hil.machine.events import Event
 from hil.records.made_with import MadeWithError
 from hil.records.zero import ZeroError
 from hil.script.axes import open_axes
 from hil.script.axis import Axis
 from hil.script.axis import open_axis as open
+from hil.script.own_table import OwnTable
 from hil.script.parameters import Parameters
 from hil.script.procedure import Procedure, Row
 from hil.script.results import (
@@ -56,6 +58,7 @@ __all__ = [
     "CorrectionBoundError",
     "DoctorResult",
     "DriveFaultError",
+    "DriveTableResult",
     "ErrorFigures",
     "Event",
     "FollowingErrorError",
@@ -70,6 +73,7 @@ __all__ = [
     "Move",
     "NoAnswerError",
     "OverspeedError",
+    "OwnTable",
     "ParameterComparison",
     "ParameterWriting",
     "Parameters",

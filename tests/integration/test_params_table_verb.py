@@ -10,7 +10,7 @@ import pytest
 from support.bench_axis import PASSWORDS
 from support.table_axis import lay_out_table_axis, store
 
-import hil.drive_table.command
+import hil.drive_table.job
 import hil.examples.drive_table
 import sim_backends.virtual_drive
 from drivers.correction_table import RawTable
@@ -115,7 +115,7 @@ def test_an_interrupt_puts_everything_back(
         assert kept.raw != OLD
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(hil.drive_table.command, "prove_by_drive", interrupted)
+    monkeypatch.setattr(hil.drive_table.job, "prove_by_drive", interrupted)
     assert run(axis, "download", "--prove-by", "drive") == 130
     assert (kept.raw, kept.enabled) == (OLD, True)
     assert "interrupted" in capsys.readouterr().err

@@ -67,7 +67,7 @@ def write_json(path: str | Path, obj: object) -> None:
 
 def finish(args: argparse.Namespace, result: Result) -> int:
     """Write the report and the JSON that the options ask for; the exit status of this result."""
-    if args.report:
+    if getattr(args, "report", None):
         result.report(args.report)
     if args.json:
         write_json(args.json, result.form())

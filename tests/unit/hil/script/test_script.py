@@ -14,6 +14,7 @@ import pytest
 from study import api_page
 from support import bench_axis
 from support.modbus_parameters import NEW, OLD, FortyFace, write_map
+from support.table_axis import lay_out_table_axis, store
 from support.two_axes import lay_out_axes
 
 import hil
@@ -202,6 +203,35 @@ def test_the_other_jobs(path: Path, tmp_path: Path) -> None:
         with pytest.raises(hil.CapabilityError, match="not certified"):
             found.certificate(tmp_path / "no.pdf")
         assert "<html" in found.report(tmp_path / "backlash.html").read_text(encoding="utf-8")
+
+
+def test_the_table_of_the_drive_is_written_proven_and_taken_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in bench_axis.PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    file, tables = lay_out_table_axis(tmp_path, "in process")
+    store(file, tables)
+    with hil.open(file.path) as axis:
+        with pytest.raises(hil.InputError, match="expected by one of instrument, drive, nothing"):
+            axis.drive_table.download(prove_by="laser")
+        assert not axis.drive_table.download(prove_by="drive", positions=3, tolerance_um=0.001).good
+        assert len(axis.drive_table.show()) == 0, "what was not proven is taken out again"
+        made = axis.drive_table.download(prove_by="drive", positions=3)
+        assert made.good
+        assert json.loads(made.save(tmp_path / "made.json").read_text())["points"] == 11
+        held = axis.drive_table.show()
+        assert held["plus_um"][0] - held["minus_um"][0] == pytest.approx(12.0, abs=0.02)
+        proven = axis.drive_table.prove(runs=1, positions=2)
+        assert proven.good
+        assert proven.proof is not None
+        assert proven.proof.measured, "by the instrument"
+        with pytest.raises(hil.StateError, match="correct"):
+            axis.calibrate()
+        axis.drive_table.remove()
+        assert len(axis.drive_table.show()) == 0
+        with pytest.raises(hil.CapabilityError, match="no report"):
+            made.report(tmp_path / "no.html")
 
 
 @pytest.mark.outside
