@@ -65,7 +65,8 @@ Any other key is refused with its line. Nothing moves outside the limits of `[ax
 complete example.
 
 A line is `key = default` (allowed values): what it is. The key's name ends in its unit. Without "required" and a default a key has no
-value unless you give one. Without allowed values a key takes a number, or true or false; sizes, times and speeds may not be negative.
+value unless you give one. Without allowed values a key takes a number, or true or false; sizes, times and speeds may not be negative. A
+name has letters, digits, `_`, `.` and `-`.
 
 Made by `python tests/study/axis_reference.py --write`.
 """
@@ -119,6 +120,7 @@ def brief(expected: str) -> str:
     expected = re.sub(r",? >=? 0(?![.\d])", "", expected)
     words = re.sub(r", each a number in .*|^a number(?: in .*)?$| for none$", "", expected)
     words = re.sub(r"^(?:a number|a share|[^\s\d,-]\S*?)(?:, (?=-?[\d.])| (?=>))(.*?)(?: in .*)?$", r"\1", words)
+    words = words.replace("a name of letters, digits, _ . -", "a name")
     return re.sub(
         r"\b(?:a whole number(?:, (?=-?\d)| (?=>))|an? (?=whole number))|^(?:an?|the) |(?<=each )a ", "", words
     )
