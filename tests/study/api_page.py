@@ -22,7 +22,7 @@ OWN = (
     "Axis.confine",
     "Axis.hold",
     "Axis.forget",
-    *(f"BacklashResult.{name}" for name in ("table", "parameters", "identity")),
+    *(f"BacklashResult.{name}" for name in ("how", "settings", "kept", "table", "parameters", "identity")),
 )
 """Members that only this program calls."""
 SECTIONS = {"measurement": values.Measuring, "lost_motion": values.Reversing, "backlash": values.Winding}
@@ -63,13 +63,14 @@ def text() -> str:
 def members(one: type) -> Iterator[str]:
     """Fields, then the public properties and methods that a class defines itself, in their order."""
     alike = {name for name in ALIKE if any(issubclass(base, names.Result) for base in one.__bases__)}
-    fields = [name for name in inspect.get_annotations(one) if name not in alike and not name.startswith("_")]
-    parts = described(one)[1]
+    own = {name.partition(".")[2] for name in OWN if name.startswith(f"{one.__name__}.")}
+    fields = [name for name in inspect.get_annotations(one) if name not in alike | own and not name.startswith("_")]
+    parts = [part for part in described(one)[1] if part.split("`")[1] not in own]
     yield from parts
     if left := [name for name in fields if not any(f"`{name}`" in part.split(": ")[0] for part in parts)]:
         yield ", ".join(f"`{name}`" for name in left)
     for name, member in vars(one).items():
-        if name.startswith("_") or name in fields or name in alike or f"{one.__name__}.{name}" in OWN:
+        if name.startswith("_") or name in fields or name in alike | own:
             continue
         function = member.__func__ if isinstance(member, classmethod) else member
         if inspect.isfunction(function):

@@ -65,8 +65,8 @@ Any other key is refused with its line. Nothing moves outside the limits of `[ax
 complete example.
 
 A line is `key = default` (allowed values): what it is. The key's name ends in its unit. Without "required" and a default a key has no
-value unless you give one. Without allowed values a key takes a number, or true or false; sizes, times and speeds may not be negative. A
-name has letters, digits, `_`, `.` and `-`.
+value unless you give one. Without allowed values a key takes a number, or true or false; sizes, times and speeds may not be
+negative. A name has letters, digits, `_`, `.` and `-`.
 
 Made by `python tests/study/axis_reference.py --write`.
 """
