@@ -1,4 +1,4 @@
-"""DriveParameters: a drive's own parameters by name, whatever wire it is on.
+"""DriveParameters: a drive's own parameters by name, whatever wire it is on; `NamedParameters` implements it for every wire.
 
 Values are in the drive's own units, and `describe` names them. Objects that move the axis are no parameters: targets, modes and
 commands are refused. Whole sets (snapshot, all-or-nothing transaction, audit) are built by `hil.parameters`.
@@ -6,12 +6,15 @@ commands are refused. Whole sets (snapshot, all-or-nothing transaction, audit) a
 
 from __future__ import annotations
 
+import math
+import operator
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 ParameterValue = int | float | str | bytes
+_ROUNDED = 1e-7  # relative, of a number with four bytes
 
 
 class ParameterKind(Enum):
@@ -40,11 +43,12 @@ class ParameterInfo:
     description: str = ""
 
     def outside(self, value: float) -> str | None:
-        """Why a value lies outside the range, None where it lies within."""
-        if self.low is not None and value < self.low:
-            return f"{value!r} is below its limit {self.low:g}"
-        if self.high is not None and value > self.high:
-            return f"{value!r} is above its limit {self.high:g}"
+        """Why a value lies outside the range, None where it lies within, or as near to its end as the drive's bytes can hold it."""
+        for limit, far, word in ((self.low, operator.lt, "below"), (self.high, operator.gt, "above")):
+            if limit is not None and far(value, limit):
+                if isinstance(value, float) and math.isclose(value, limit, rel_tol=_ROUNDED):
+                    continue
+                return f"{value!r} is {word} its limit {limit:g}"
         return None
 
 

@@ -1,9 +1,9 @@
 """RawParameters: a drive's parameters as the bytes on its wire, for code that handles whole sets of them.
 
-`DriveParameters` accesses one parameter by name. This interface serves hundreds, on several drives at a time: work on a drive is a
-generator that yields one transfer after another, so that the line serves other drives while this drive prepares its answer. It reports
-what a parameter is, why it may not be written, its present bytes, and what an access costs; which ones to write is the caller's
-decision.
+The one interface that a wire implements; `NamedParameters` accesses one parameter by name over it. It serves hundreds, on several
+drives at a time: work on a drive is a generator that yields one transfer after another, so that the line serves other drives while
+this drive prepares its answer. It reports what a parameter is, why it may not be written, its present bytes, and what an access costs;
+which ones to write is the caller's decision.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.drive import DriveState
-from drivers.errors import BridgeError
+from drivers.errors import BridgeError, ProtocolError
 from drivers.parameters import ParameterInfo, ParameterValue
 
 T = TypeVar("T")
@@ -23,8 +24,10 @@ Steps = Generator[object, None, T]
 """Work on one drive. It yields `Pause`s, which every line carries out, or steps of its own kind of line; `Line.run` returns its
 result."""
 
-Tell = Callable[[int], None]
-"""tell(n): n more accesses are done."""
+SETTLE_S = 0.5
+"""Time limit for a drive to read back what it has accepted, s."""
+_POLL_S = 0.02
+"""Interval between two readings back, s."""
 
 RawForm = int | str
 """A raw value as text for a person: a whole number where the type is one, else the bytes as hexadecimal digits."""
@@ -42,16 +45,12 @@ class Pause:
     done: Callable[[], bool] = _never
 
 
-def no_observer(_count: int) -> None:
-    """No observer is registered; progress is dropped."""
-
-
 @dataclass(frozen=True)
 class RawParameter:
     """One parameter. address: its place ("2210h:01", or a register's name); type: as the drive's own file names it.
 
-    refusal: why it is never written as a parameter (read only, moves the axis, …), None for one that the user may write; kind: what
-    it is instead, in the plural of a list ("commands").
+    refusal: why it is never written as a parameter ("is read only", "moves the axis", …), None for one that the user may write; kind:
+    what it is instead, in the plural of a list ("commands").
     """
 
     address: str
@@ -59,6 +58,11 @@ class RawParameter:
     type: str
     refusal: str | None = None
     kind: str = "objects that are not written"
+
+    @property
+    def title(self) -> str:
+        """Its address and name."""
+        return self.address if self.info.name == self.address else f"{self.address} {self.info.name}"
 
 
 @dataclass(frozen=True)
@@ -69,6 +73,14 @@ class Access:
     seconds: float
     data: bytes | None = None
     error: BridgeError | None = None
+
+
+Tell = Callable[[Sequence[Access]], None]
+"""tell(accesses): these are done, successful or not."""
+
+
+def no_observer(_accesses: Sequence[Access]) -> None:
+    """No observer is registered; progress is dropped."""
 
 
 @dataclass(frozen=True)
@@ -114,12 +126,20 @@ class RawParameters(ABC):
     name: str
     line: Line
     clock: Clock
+    path: str | Path | None = None  # of the file that describes them
+    assumed = False
+    """Whether the drive may lack some of `entries`, as no file describes it."""
 
     # -- description; no I/O -------------------------------------------------------------------------------------------
     @property
     @abstractmethod
     def entries(self) -> Mapping[str, RawParameter]:
         """All parameters that can be read, by address, in the drive's order."""
+
+    @property
+    def names(self) -> Mapping[str, str]:
+        """Name -> address of the parameters that can be read."""
+        return {address: address for address in self.entries}
 
     def find(self, address: str) -> RawParameter | None:
         """The parameter at an address, None where the drive has none."""
@@ -141,7 +161,7 @@ class RawParameters(ABC):
 
     @abstractmethod
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
-        """A value in its unit -> bytes. Raises InputError for a value outside the type; `objection` checks the limits."""
+        """A value in its unit -> bytes. Raises InputError for a value outside the type; `outside` checks the limits."""
 
     @abstractmethod
     def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
@@ -155,9 +175,14 @@ class RawParameters(ABC):
     def to_raw(self, entry: RawParameter, data: bytes) -> RawForm:
         """Bytes -> the raw value."""
 
-    @abstractmethod
+    def outside(self, entry: RawParameter, data: bytes) -> str | None:
+        """Why these bytes lie outside the limits, None where they lie within."""
+        value = self.decode(entry, data)
+        return entry.info.outside(value) if isinstance(value, int | float) else None
+
     def objection(self, entry: RawParameter, data: bytes) -> str | None:
-        """Why these bytes may not be written there (no parameter, type, limits, wear), None when they may."""
+        """Why these bytes may not be written there (no parameter, limits, wear), None when they may."""
+        return entry.refusal or self.outside(entry, data)
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
         """Whether the bytes shown by the drive equal the bytes meant."""
@@ -197,6 +222,40 @@ class RawParameters(ABC):
     @abstractmethod
     def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         """Write in order, up to the first that fails; returns the attempted accesses. Nothing is read back here."""
+
+    def show(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[dict[str, bytes]]:
+        """Read; address -> bytes. Raises the error of the first failing access."""
+        accesses = yield from self.read(addresses, tell)
+        for each in accesses:
+            if each.error is not None:
+                raise each.error
+        return {each.address: each.data for each in accesses if each.data is not None}
+
+    def prove(self, goals: Mapping[str, bytes], tell: Tell = no_observer, settle_s: float = SETTLE_S) -> Steps[None]:
+        """Read back until the values are the goals. Raises ProtocolError when they are not within `settle_s`."""
+        deadline = self.clock.deadline(settle_s)
+        wrong = list(goals)
+        while True:
+            shown = yield from self.show(wrong, tell)
+            wrong = [address for address in wrong if not self.shows(address, shown[address], goals[address])]
+            if not wrong:
+                return
+            if deadline.expired:
+                raise ProtocolError(self._mismatch(wrong[0], goals[wrong[0]], shown[wrong[0]], len(wrong)))
+            yield Pause(_POLL_S)
+
+    def shows(self, address: str, shown: bytes, meant: bytes) -> bool:
+        """As `same`, for an address that the drive's file may not have."""
+        parameter = self.find(address)
+        return shown == meant if parameter is None else self.same(parameter, shown, meant)
+
+    def _mismatch(self, address: str, meant: bytes, shown: bytes, count: int) -> str:
+        parameter = self.find(address)
+        if parameter is None:
+            return f"drive {self.name}: {address} reads back {shown.hex()}, written was {meant.hex()}"
+        values = [self.decode(parameter, data) for data in (meant, shown)]
+        more = "" if count == 1 else f" (and {count - 1} more)"
+        return f"drive {self.name}: {parameter.title} was written {values[0]!r}, it reads back {values[1]!r}{more}"
 
     @abstractmethod
     def objection_to_store(self) -> Steps[str | None]:

@@ -15,12 +15,13 @@ from drivers.canopen.connection import Connection
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
 from drivers.canopen.identity import Identity, object_of, read_identity, stores_on_command, unit_objects
-from drivers.canopen.named_parameters import NamedParameters
 from drivers.canopen.node import NmtState
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.pdo_lint import Finding
+from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sampling import Sampler, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings
+from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.stopping import StoppableNode
 from drivers.canopen.stream import AxesBySync, OneAxisStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
@@ -43,6 +44,7 @@ from drivers.errors import (
     StateError,
     TransportError,
 )
+from drivers.named_parameters import NamedParameters
 from drivers.set_points import SetPointSettings
 from drivers.shutdown import Left
 from drivers.undo import undo_all
@@ -237,7 +239,7 @@ class CanOpenDrive(StoppableNode):
         """Parameters by the drive's EDS where one was given, and the standard's objects."""
         self._require_open()
         if self._parameters is None:
-            self._parameters = NamedParameters(self.node, self.units)
+            self._parameters = NamedParameters(CanOpenRawParameters(self.node, CanLine(self.link), units=self.units))
         return self._parameters
 
     @property

@@ -31,10 +31,10 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class Refusal:
-    """Why an object is not written as a parameter. text: one sentence with the object's name."""
+    """Why an object is not written as a parameter. why: a sentence whose subject is the object."""
 
     kind: Kind
-    text: str
+    why: str
 
 
 MOTION_TARGETS: dict[int, str] = {
@@ -109,16 +109,16 @@ BY_NAME: dict[tuple[range, str], Kind] = {
 
 
 def why_not_written(found: EdsEntry, table: TableMap | None = None) -> str | None:
-    """The sentence of `refusal`; None for an entry that may be written."""
+    """The sentence of `refusal` with the object's name; None for an entry that may be written."""
     refused = refusal(found, table)
-    return None if refused is None else refused.text
+    return None if refused is None else f"{found.entry} {refused.why}"
 
 
 def refusal(found: EdsEntry, table: TableMap | None = None) -> Refusal | None:
     """Why an entry is not written as a parameter; None for one that may be. table: map of the drive's own correction table."""
     reason = _read_only(found) or _standards(found.entry) or _tables(found.entry, table) or _unreadable(found)
     reason = reason or _makers(found)
-    return None if reason is None else Refusal(reason[0], f"{found.entry} {reason[1]}")
+    return None if reason is None else Refusal(*reason)
 
 
 Reason = tuple[Kind, str]

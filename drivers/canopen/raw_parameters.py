@@ -1,24 +1,24 @@
-"""A CANopen node's parameters as raw bytes, for whole sets: over SDO only, without opening the node as a drive.
+"""A CANopen node's parameters as raw bytes, over SDO only. `not_parameters` says what may not be written.
 
-No PDO is mapped, no heartbeat requested, nothing is set up that would have to be restored, so the values read are those that the
-user set. `not_parameters` says what may not be written.
+For whole sets the node is not opened as a drive: no PDO is mapped, no heartbeat requested, nothing is set up that would have to be
+restored, so the values read are those that the user set.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 from drivers.canopen import cia301
-from drivers.canopen.eds import EdsEntry, EdsFile, Key
+from drivers.canopen.eds import EdsEntry
 from drivers.canopen.eds_text import summary
-from drivers.canopen.named_parameters import FITTING, kind_of, known_objects, range_of, unit_text
+from drivers.canopen.known_objects import FITTING, address_of, kind_of, known_objects, range_of, unit_text
 from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
 from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo import most_bytes
 from drivers.canopen.sdo_cost import transfer
 from drivers.canopen.side_by_side import CanLine
-from drivers.canopen.table_map import TableMap
 from drivers.canopen.whole_pdo import Block, WholePdo, described, pdo_at
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
@@ -57,71 +57,68 @@ _LIMITS = (0x607B, 0x607D, 0x607F, 0x6080, 0x60C5, 0x60C6)
 _PAIRS = (("607B:01", "607B:02"), ("607D:01", "607D:02"))
 
 
-def address_of(key: Key) -> str:
-    """An object's address in parameter sets, such as "2210h:01"."""
-    return f"{key[0]:04X}h:{key[1]:02X}"
-
-
 class CanOpenRawParameters(RawParameters):
-    """Parameters of one node. eds None: the standard's objects that the node has, without limits. timeout_s: for one answer, s.
+    """Parameters of one node, which is open. Without a maker's file: the standard's objects, without limits. bitrate: for `cost`.
 
-    table: map of the drive's own correction table, whose objects are no parameters. scaling, velocity_unit, acceleration_unit: of the
-    axis file, for the units of velocities and accelerations; without a scaling these are shown without a unit.
+    scaling, velocity_unit, acceleration_unit: of the axis file, for the units of velocities and accelerations, which `identify` reads;
+    units: these, where they are known. Without one of both these objects are shown without a unit.
     """
 
     def __init__(
         self,
-        name: str,
+        node: Node,
         line: CanLine,
-        node_id: int,
-        eds: EdsFile | None,
         *,
-        table: TableMap | None = None,
-        timeout_s: float = 0.5,
         bitrate: int = 1_000_000,
         scaling: AxisScaling | None = None,
         velocity_unit: str | None = None,
         acceleration_unit: str | None = None,
+        units: MotionScaling | None = None,
     ) -> None:
-        self.name = name
+        self.name = node.name
         self.line: CanLine = line
-        self.node_id = node_id
         self.clock = line.link.clock
         self.bitrate = bitrate
-        file, names, units = known_objects(eds)
-        self._keys = {address_of(key): found for key, found in file.entries.items()}
-        self._assumed = eds is None
+        self.assumed = node.eds is None
+        self.path = None if node.eds is None else node.eds.path
+        self._node = node
+        self._eds = node.eds
         self._scaling = scaling
         self._stated = {"velocity": velocity_unit, "acceleration": acceleration_unit}
-        self._motion: MotionScaling | None = None  # known once the drive was asked who it is
-        self._units = {names[name].entry.key: unit for name, unit in units.items()}
-        self._eds = eds
-        self._every = {
-            address: _parameter(address, found, unit_text(self._units.get(found.entry.key, ""), None), table)
-            for address, found in sorted(self._keys.items())
-        }
-        self._entries = {
-            address: parameter
-            for address, parameter in self._every.items()
-            if self._keys[address].readable and self._entry(parameter).type is not DataType.DOMAIN
-        }
-        self._node = Node(name, line.link, node_id)
-        self._node.open(timeout_s)
-
-    def close(self) -> None:
-        """Stop listening."""
-        self._node.close()
+        self._motion = units
+        self._known = known_objects(node.eds)
+        self._keys = {address_of(key): found for key, found in sorted(self._known.entries.items())}
+        self._described: dict[str, RawParameter] = {}
 
     # -- description ---------------------------------------------------------------------------------------------------
-    @property
+    @cached_property
     def entries(self) -> Mapping[str, RawParameter]:
-        return self._entries
+        return {address: self._parameter(address) for address, found in self._keys.items() if _shown(found)}
+
+    @cached_property
+    def names(self) -> Mapping[str, str]:
+        """The standard's objects under its names, the others by their addresses."""
+        named = {name: address_of(key) for name, key in self._known.names.items()}
+        others = {address for address, found in self._keys.items() if _shown(found)}.difference(named.values())
+        return named | {address: address for address in sorted(others)}
+
+    def _parameter(self, address: str) -> RawParameter:
+        if address not in self._described:
+            found = self._keys[address]
+            entry, (low, high), refused = found.entry, range_of(found), refusal(found, self._node.table)
+            unit = unit_text(self._known.units.get(entry.key, ""), None)
+            info = ParameterInfo(
+                entry.name, kind_of(entry.type), unit, low, high, refused is None, description=str(entry)
+            )
+            told = () if refused is None else (refused.why, refused.kind.value)
+            self._described[address] = RawParameter(address, info, entry.type.name, *told)
+        return self._described[address]
 
     def find(self, address: str) -> RawParameter | None:
         """The parameter at an address: a PDO as a whole ("1400h PDO") too, and an object that is refused as it cannot be read."""
         pdo = pdo_at(address)
         if pdo is None:
-            return self._every.get(address)
+            return self._parameter(address) if address in self._keys else None
         if self._eds is not None and (pdo.communication, 1) not in self._eds.entries:
             return None
         return RawParameter(address, ParameterInfo(pdo.name, ParameterKind.TEXT, "", None, None, True), "PDO")
@@ -129,7 +126,7 @@ class CanOpenRawParameters(RawParameters):
     def unit_of(self, parameter: RawParameter) -> str:
         """That of a velocity or an acceleration is known after `identify`, as the drive had it then."""
         found = self._keys.get(parameter.address)
-        return "" if found is None else unit_text(self._units.get(found.entry.key, ""), self._motion)
+        return "" if found is None else unit_text(self._known.units.get(found.entry.key, ""), self._motion)
 
     def doubts_of_file(self, found: DriveIdentity) -> Sequence[str]:
         if self._eds is None:
@@ -182,13 +179,8 @@ class CanOpenRawParameters(RawParameters):
             return int(self._entry(entry).unpack(data))
         return data.hex()
 
-    def objection(self, entry: RawParameter, data: bytes) -> str | None:
-        if entry.refusal is not None:
-            return entry.refusal
-        if pdo_at(entry.address) is not None:
-            return Block.unpack(data).objection()
-        value = self.decode(entry, data)
-        return entry.info.outside(value) if isinstance(value, int | float) else None
+    def outside(self, entry: RawParameter, data: bytes) -> str | None:
+        return super().outside(entry, data) if pdo_at(entry.address) is None else Block.unpack(data).objection()
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
         if pdo_at(entry.address) is not None:
@@ -308,7 +300,7 @@ class CanOpenRawParameters(RawParameters):
                 return accesses
             else:
                 accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9, data))
-            tell(1)
+            tell(accesses[-1:])
         return accesses
 
     def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
@@ -320,7 +312,7 @@ class CanOpenRawParameters(RawParameters):
             except BridgeError as error:
                 return [*accesses, self._failed(address, start_ns, error)]
             accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9))
-            tell(1)
+            tell(accesses[-1:])
         return accesses
 
     def _failed(self, address: str, start_ns: int, error: BridgeError) -> Access:
@@ -367,7 +359,7 @@ class CanOpenRawParameters(RawParameters):
         yield Pause(START_S, lambda: self._node.monitor.boot_ups > before)
         if self._node.monitor.boot_ups == before:
             raise NoAnswerError(
-                f"drive {self.name}: no boot-up of node {self.node_id} within {START_S:g} s of its reset"
+                f"drive {self.name}: no boot-up of node {self._node.node_id} within {START_S:g} s of its reset"
             )
 
     @property
@@ -383,10 +375,5 @@ class CanOpenRawParameters(RawParameters):
         return self.line.lost
 
 
-def _parameter(address: str, found: EdsEntry, unit: str, table: TableMap | None) -> RawParameter:
-    low, high = range_of(found)
-    refused = refusal(found, table)
-    info = ParameterInfo(found.entry.name, kind_of(found.entry.type), unit, low, high, refused is None)
-    if refused is None:
-        return RawParameter(address, info, found.entry.type.name)
-    return RawParameter(address, info, found.entry.type.name, refused.text, refused.kind.value)
+def _shown(found: EdsEntry) -> bool:
+    return found.readable and found.entry.type is not DataType.DOMAIN

@@ -48,17 +48,18 @@ class CanLine(Line):
     def run(self, jobs: Sequence[Steps[T]]) -> list[T | BridgeError]:
         results: dict[int, T | BridgeError] = {}
         turns: dict[int, Awaited] = {}
-        try:
-            for number in range(len(jobs)):
-                self._advance(number, jobs, turns, results)
-            while turns:
-                self._await(list(turns.values()))
-                for number in [number for number, turn in turns.items() if turn.finished]:
-                    self._end(turns.pop(number))
+        with self.link.talking:
+            try:
+                for number in range(len(jobs)):
                     self._advance(number, jobs, turns, results)
-        finally:
-            for turn in turns.values():  # an exception ends all of them
-                self._end(turn)
+                while turns:
+                    self._await(list(turns.values()))
+                    for number in [number for number, turn in turns.items() if turn.finished]:
+                        self._end(turns.pop(number))
+                        self._advance(number, jobs, turns, results)
+            finally:
+                for turn in turns.values():  # an exception ends all of them
+                    self._end(turn)
         return [results[number] for number in range(len(jobs))]
 
     def _advance(

@@ -25,10 +25,11 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_facts import FactLedger, Proof
 from drivers.modbus.needs import Needs
 from drivers.modbus.order_evidence import judge_orders
-from drivers.modbus.parameters import ModbusParameters
+from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.stopping import StoppableUnit
 from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.wear import WearLedger
+from drivers.named_parameters import NamedParameters
 from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
@@ -60,7 +61,8 @@ class ModbusDrive(StoppableUnit):
         self._weak = drive_map.weak()
         self._proving = False
         self._needs = Needs(name, drive_map, self.access, self.orders)
-        self._parameters = ModbusParameters(name, drive_map, self.access, clock, wear or WearLedger())
+        self.raw = ModbusRawParameters(name, ModbusLine(link), unit, drive_map, wear=wear, access=self.access)
+        self._parameters = NamedParameters(self.raw)
 
     # -- connection ------------------------------------------------------------------------------------------------
     def open(self) -> None:
@@ -113,12 +115,12 @@ class ModbusDrive(StoppableUnit):
     def reported_scaling(self) -> tuple[ReportedScaling, ...]:
         """Units by the map's [drive.scaling]: constants of the model, or its registers."""
         self._require_open()
-        return (self._parameters.reported_scaling(),)
+        return (self.raw.reported_scaling(),)
 
     def unit_parameters(self) -> dict[str, int | float]:
         """The registers that the map's [drive.scaling] names."""
         self._require_open()
-        return self._parameters.unit_parameters()
+        return self.raw.unit_parameters()
 
     # -- facts of the map --------------------------------------------------------------------------------------------
     def preflight(self) -> tuple[tuple[str, bool, str], ...]:
@@ -167,7 +169,7 @@ class ModbusDrive(StoppableUnit):
         """The table by the map's [drive.correction_table]; None without one."""
         self._require_open()
         blocks = self.map.table
-        return None if blocks is None else ModbusCorrectionTable(self.name, self.access, blocks, self._parameters.wear)
+        return None if blocks is None else ModbusCorrectionTable(self.name, self.access, blocks, self.raw.wear)
 
     # -- reading ---------------------------------------------------------------------------------------------------
     def zero(self) -> DriveZero:
@@ -304,7 +306,7 @@ class ModbusDrive(StoppableUnit):
         )
 
     @property
-    def parameters(self) -> ModbusParameters:
+    def parameters(self) -> NamedParameters:
         """Parameters by the names of the register map."""
         return self._parameters
 

@@ -1,4 +1,4 @@
-"""A Modbus drive's parameters as raw bytes, for whole sets: its registers by the names of its map, their words high byte first.
+"""A Modbus drive's parameters as raw bytes: its registers by the names of its map, their words high byte first.
 
 Reads are grouped for the wire, writes of neighbours go together, each write to an EEPROM is counted. A line carries one request at a
 time: drives on one line take turns.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from fractions import Fraction
 from typing import TypeVar
 
 from drivers.clock import NS_PER_S, Clock
@@ -17,20 +18,21 @@ from drivers.errors import (
     BridgeError,
     CapabilityError,
     InputError,
+    MotionTimeoutError,
     ProtocolError,
     StateError,
     TransportError,
 )
-from drivers.modbus.codec import RegisterType, decode, encode
-from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.codec import OrderMatch, RegisterType, decode, encode, probe_order
+from drivers.modbus.drive_map import DriveMap, Ratio, all_hold
 from drivers.modbus.endpoint import RtuEndpoint
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.parameters import ModbusParameters, kind_of
+from drivers.modbus.orders import comes_true
 from drivers.modbus.plan import ReadRequest, WireCost, group_writes
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, Register
 from drivers.modbus.wear import WearLedger
-from drivers.parameters import ParameterInfo, ParameterValue
+from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 from drivers.raw_parameters import (
     Access,
     DriveIdentity,
@@ -44,6 +46,7 @@ from drivers.raw_parameters import (
     WireTime,
     no_observer,
 )
+from drivers.scaling import ReportedScaling
 
 T = TypeVar("T")
 _SPARE_WRITES = 2  # of a register's wear budget: a value written may have to be put back
@@ -79,18 +82,25 @@ class ModbusLine(Line):
 
 
 class ModbusRawParameters(RawParameters):
-    """The parameters of one unit, by its register map."""
+    """The parameters of one unit, by its register map. access: of an open drive; None makes one."""
 
     def __init__(
-        self, name: str, line: ModbusLine, unit: int, drive_map: DriveMap, *, wear: WearLedger | None = None
+        self,
+        name: str,
+        line: ModbusLine,
+        unit: int,
+        drive_map: DriveMap,
+        *,
+        wear: WearLedger | None = None,
+        access: RegisterAccess | None = None,
     ) -> None:
         self.name = name
         self.line: ModbusLine = line
         self.clock: Clock = line.link.clock
         self.map = drive_map
         self.wear = wear or WearLedger()
-        self.access = RegisterAccess(line.link, unit, drive_map.registers)
-        self._parameters = ModbusParameters(name, drive_map, self.access, self.clock, self.wear)
+        self.path = drive_map.registers.path
+        self.access = access or RegisterAccess(line.link, unit, drive_map.registers)
         moving = drive_map.moving()
         self._entries = {
             each.name: _parameter(each, each.name in moving)
@@ -139,21 +149,17 @@ class ModbusRawParameters(RawParameters):
         return data.hex()
 
     def objection(self, entry: RawParameter, data: bytes) -> str | None:
-        if entry.refusal is not None:
-            return entry.refusal
+        why = super().objection(entry, data)
         register = self._register(entry)
-        try:
-            register.raw_of(register.decode(_words(data)))
-        except InputError as error:
-            return error.what
-        if register.memory is Memory.EEPROM:
-            left = register.wear_budget - self.wear.writes(self.name, register.name)
-            if left < _SPARE_WRITES:
-                return (
-                    f"is kept in EEPROM and its budget has {max(0, left)} writes left, expected {_SPARE_WRITES};"
-                    " raise wear_budget in the register map if this is meant"
-                )
-        return None
+        if why is not None or register.memory is not Memory.EEPROM:
+            return why
+        left = register.wear_budget - self.wear.writes(self.name, register.name)
+        if left >= _SPARE_WRITES:
+            return None
+        return (
+            f"is kept in EEPROM and its budget has {max(0, left)} writes left, expected {_SPARE_WRITES};"
+            " raise wear_budget in the register map if this is meant"
+        )
 
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
         """By the groups in which it would be done."""
@@ -204,7 +210,7 @@ class ModbusRawParameters(RawParameters):
             if len(inside) > 1 and isinstance(accesses[0].error, AbortError):  # find the one that is refused
                 accesses = [self._read_group([address])[0] for address in inside]
             found |= {access.address: access for access in accesses}
-            tell(len(inside))
+            tell(accesses)
             silence = accesses[-1].error
             if isinstance(silence, TransportError):
                 left = [address for address in addresses if address not in found]
@@ -239,9 +245,9 @@ class ModbusRawParameters(RawParameters):
                     if tried[-1].error is not None:
                         break
             accesses += tried
+            tell([each for each in tried if each.error is None])
             if accesses[-1].error is not None:
                 break
-            tell(len(group))
         return accesses
 
     def _write_group(self, items: Sequence[tuple[str, bytes]]) -> list[Access]:
@@ -266,8 +272,19 @@ class ModbusRawParameters(RawParameters):
         return None if self.map.store is not None else "its register map has no command to store parameters"
 
     def store(self) -> Steps[None]:
-        state = yield from self.state()
-        self._parameters.store(state)
+        """By the map's commands; waits until it is done. Raises CapabilityError where the map has none, StateError while enabled,
+        MotionTimeoutError when it does not end."""
+        store = self.map.store
+        if store is None:
+            raise CapabilityError(f"drive {self.name}: its register map has no command to store parameters")
+        if (yield from self.state()) is DriveState.ENABLED:
+            raise StateError(f"drive {self.name} is enabled; disable it before storing parameters")
+        for write in store.writes:
+            self.access.command(write)
+        if not comes_true(
+            lambda: all_hold(store.done, self.access.of_conditions(store.done)), store.timeout_s, self.clock
+        ):
+            raise MotionTimeoutError(f"drive {self.name}: storing not over within {store.timeout_s:g} s")
 
     def load_defaults(self) -> Steps[None]:
         """Raises CapabilityError: register maps have no such command."""
@@ -278,6 +295,63 @@ class ModbusRawParameters(RawParameters):
         """Raises CapabilityError: only its supply restarts such a drive."""
         yield from ()
         raise CapabilityError(f"drive {self.name}: only switching its supply restarts it")
+
+    # -- the drive's own units, and the order of its words -------------------------------------------------------------------
+    def reported_scaling(self) -> ReportedScaling:
+        """The drive's own units, exact fractions. Raises ProtocolError for a divisor of 0."""
+        scaling = self.map.scaling
+        return ReportedScaling(
+            self._ratio(scaling.encoder_counts_per_motor_rev),
+            self._ratio(scaling.motor_revs_per_shaft_rev),
+            self._ratio(scaling.feed_mm_per_shaft_rev),
+        )
+
+    def unit_parameters(self) -> dict[str, int | float]:
+        """The registers of the drive's own units, by name and in their unit."""
+        scaling = self.map.scaling
+        ratios = (scaling.encoder_counts_per_motor_rev, scaling.motor_revs_per_shaft_rev, scaling.feed_mm_per_shaft_rev)
+        named = [name for ratio in ratios if ratio is not None for name in (ratio.register, ratio.per)]
+        names = tuple(dict.fromkeys(name for name in named if name is not None))
+        values = self.access.read(names) if names else {}
+        units = {name: self.map.registers[name].value_of(raw) for name, raw in values.items()}
+        return {name: value for name, value in units.items() if isinstance(value, int | float)}
+
+    def _ratio(self, ratio: Ratio | None) -> Fraction | None:
+        if ratio is None or ratio.register is None:
+            return None if ratio is None else ratio.constant
+        above = ratio.times * self._exact(ratio.register)
+        below = Fraction(1) if ratio.per is None else self._exact(ratio.per)
+        if below == 0:
+            raise ProtocolError(f"drive {self.name}: {ratio.per} is 0, {ratio.register} is to be divided by it")
+        return above / below
+
+    def _exact(self, name: str) -> Fraction:
+        register = self.map.registers[name]
+        raw = self.access.read((name,))[name]
+        return Fraction(str(raw)) * Fraction(str(register.scale)) + Fraction(str(register.offset))
+
+    def probe_order(self, name: str, known_value: float, *, tolerance: float = 0.0) -> tuple[OrderMatch, ...]:
+        """Every type and order by which the registers at and around `name` hold the value that the drive's own display shows.
+
+        known_value and tolerance in the register's unit; offset 0 of a match is the mapped address, ±1 a base that is off by one.
+        """
+        register = self.map.registers[name]
+        try:
+            before, words = self.access.neighbourhood(name, 1)
+        except AbortError:
+            before, words = self.access.neighbourhood(name, 0)  # no such neighbours
+        matches = probe_order(words, known_value - register.offset, scale=register.scale, tolerance=tolerance)
+        return tuple(
+            OrderMatch(match.offset - before, match.layout, match.value + register.offset) for match in matches
+        )
+
+
+def kind_of(register: Register) -> ParameterKind:
+    """The kind of a register's value; a whole number that has a scale is a number."""
+    if register.layout.type is RegisterType.STRING:
+        return ParameterKind.TEXT
+    plain = register.layout.type.is_integer and register.scale == 1.0 and register.offset == 0.0
+    return ParameterKind.INTEGER if plain else ParameterKind.NUMBER
 
 
 def _parameter(register: Register, moving: bool) -> RawParameter:

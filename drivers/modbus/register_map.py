@@ -123,15 +123,19 @@ class Register:
 
     def raw_of(self, value: Value) -> Raw:
         """Engineering units -> raw, to the nearest step. Raises InputError outside the limits or the type."""
+        low = -math.inf if self.minimum is None else self.minimum
+        high = math.inf if self.maximum is None else self.maximum
+        if not isinstance(value, str) and math.isfinite(value) and not low <= value <= high:
+            raise InputError(f"{self.name} cannot be {value:g} {self.unit}, allowed is {low:g} to {high:g}".rstrip())
+        return self.raw_of_any(value)
+
+    def raw_of_any(self, value: Value) -> Raw:
+        """As `raw_of`, without the file's limits. Raises InputError outside the type."""
         layout = self.layout
         if isinstance(value, str) or layout.type is RegisterType.STRING:
             return self._encodable(value)
         if not math.isfinite(value):
             raise InputError(f"{self.name} cannot be {value!r}, expected a finite number")
-        low = -math.inf if self.minimum is None else self.minimum
-        high = math.inf if self.maximum is None else self.maximum
-        if not low <= value <= high:
-            raise InputError(f"{self.name} cannot be {value:g} {self.unit}, allowed is {low:g} to {high:g}".rstrip())
         if self.scale == 1.0 and self.offset == 0.0:
             raw: Raw = value if layout.type.is_float else round(value)
         else:
@@ -151,8 +155,8 @@ class Register:
         return self.value_of(decode(registers, self.layout))
 
     def encode(self, value: Value) -> tuple[int, ...]:
-        """Engineering units -> registers. Raises InputError outside the limits or the type."""
-        return encode(self.raw_of(value), self.layout)
+        """Engineering units -> registers, without the file's limits. Raises InputError outside the type."""
+        return encode(self.raw_of_any(value), self.layout)
 
 
 @dataclass(frozen=True)

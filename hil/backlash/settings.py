@@ -124,14 +124,14 @@ def _writable(drive: ServoDrive, name: str) -> DriveParameters:
 
 
 def _registers(drive: ServoDrive, name: str) -> Setting:
-    from drivers.modbus.parameters import ModbusParameters  # noqa: PLC0415  (as above)
+    from drivers.modbus.drive import ModbusDrive  # noqa: PLC0415  (as above)
     from drivers.modbus.register_map import Memory  # noqa: PLC0415  (as above)
 
     parameters = _writable(drive, name)
-    if not isinstance(parameters, ModbusParameters):
+    if not isinstance(drive, ModbusDrive):
         return NamedSetting(parameters, name, 1.0)
-    register = parameters.register(name)
-    left = register.wear_budget - parameters.wear.writes(drive.name, name)
+    register = drive.registers[name]
+    left = register.wear_budget - drive.raw.wear.writes(drive.name, name)
     if register.memory is Memory.EEPROM and left < _WRITES:
         raise StateError(
             f"drive {drive.name}: {name} is kept in EEPROM and its budget has {max(0, left)} writes left, a measurement takes"

@@ -108,9 +108,9 @@ def _probe_order(args: argparse.Namespace, axis: AxisConfig) -> int:
     if args.dry_run:
         print(f"axis {axis.name}: would read register {name} and its neighbours")
         return 0
-    with connected_registers(axis) as parameters:
-        register = parameters.register(name)
-        matches = parameters.probe_order(name, value, tolerance=args.tolerance)
+    with connected_registers(axis) as registers:
+        register = registers.map.registers[name]
+        matches = registers.probe_order(name, value, tolerance=args.tolerance)
     rows = [
         {
             "address": register.span.start + match.offset,

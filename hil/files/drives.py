@@ -27,10 +27,10 @@ from drivers.modbus.endpoint import Endpoint, RtuEndpoint, parse_endpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.order_evidence import judge_orders
-from drivers.modbus.parameters import ModbusParameters
+from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map, shipped_maps
-from drivers.modbus.wear import WearLedger
+from drivers.named_parameters import NamedParameters
 from hil.axis.axis_file import load_drive_axis
 from hil.files.drives_shown import factory, wanted
 from hil.files.first_axis_file import CANOPEN, Answers, FirstContact, axis_text
@@ -231,12 +231,14 @@ def _modbus(args: argparse.Namespace) -> FirstContact:
             raise NoAnswerError(
                 f"unit {unit} does not answer on {endpoint} ({error}); {there}; from the factory the drive has {usual}"
             ) from error
-        parameters = ModbusParameters(Path(args.file).stem, drive, access, clock, WearLedger())
+        registers = ModbusRawParameters(Path(args.file).stem, ModbusLine(link), unit, drive, access=access)
         notes = [f"position reads {raw[drive.position]} (raw)"]
-        fits = _word_order(args, drive, access, parameters, notes)
-        fits &= _needs(args, drive, access, parameters, notes)
-        reported = parameters.reported_scaling()
-        device_name = str(parameters.read("device_name")) if "device_name" in drive.registers.registers else ""
+        fits = _word_order(args, drive, registers, notes)
+        fits &= _needs(args, drive, registers, notes)
+        reported = registers.reported_scaling()
+        device_name = (
+            str(NamedParameters(registers).read("device_name")) if "device_name" in drive.registers.registers else ""
+        )
         if drive.homing is None:
             notes.append(f"homing: {drive.without_homing or 'not described'}; [measurement] home = false is set")
         elif drive.homing.method is not None:
@@ -269,13 +271,11 @@ def _endpoint(args: argparse.Namespace, drive: DriveMap) -> tuple[str, Endpoint]
     return url, parse_endpoint(url, baud=args.baud or bus.baud)
 
 
-def _word_order(
-    args: argparse.Namespace, drive: DriveMap, access: RegisterAccess, parameters: ModbusParameters, notes: list[str]
-) -> bool:
+def _word_order(args: argparse.Namespace, drive: DriveMap, registers: ModbusRawParameters, notes: list[str]) -> bool:
     """By a value that the drive's display shows, else by the values found."""
     if args.known is None:
         names = [name for name in drive.wide() if drive.registers[name].readable]
-        words = access.words(names)
+        words = registers.access.words(names)
         verdict = judge_orders({name: (drive.registers[name], words[name]) for name in names})
         notes.append(f"word order: {verdict.detail}")
         return verdict.agrees
@@ -287,7 +287,7 @@ def _word_order(
     if not equals or not math.isfinite(value):
         raise InputError(f"--known is {args.known!r}, expected REGISTER=VALUE")
     layout = drive.registers[name].layout
-    matches = parameters.probe_order(name, value, tolerance=args.tolerance)
+    matches = registers.probe_order(name, value, tolerance=args.tolerance)
     if any(match.offset == 0 and match.layout == layout for match in matches):
         notes.append(f"word order: {name} reads {text} as the drive file says")
         return True
@@ -301,20 +301,18 @@ def _word_order(
     return False
 
 
-def _needs(
-    args: argparse.Namespace, drive: DriveMap, access: RegisterAccess, parameters: ModbusParameters, notes: list[str]
-) -> bool:
+def _needs(args: argparse.Namespace, drive: DriveMap, registers: ModbusRawParameters, notes: list[str]) -> bool:
     """Whether everything holds that only the user may change; with --set-up it is written, by name and read back."""
     good = True
     for need in drive.needs:
         name = need.condition.register
-        raw = access.integers([name])[name]
+        raw = registers.access.integers([name])[name]
         if all_hold((need.condition,), {name: raw}) or need.write is not None:
             continue
         text = f"{name} reads {raw:#x}, expected {wanted(need)}: {need.why}"
         mask, value = need.condition.mask, need.condition.values[0]
         if args.set_up and not need.condition.negate:
-            parameters.write(name, value if mask is None else (raw & ~mask) | value)
+            NamedParameters(registers).write(name, value if mask is None else (raw & ~mask) | value)
             notes.append(f"{text}; written (it was {raw:#x})")
             continue
         notes.append(f"{text}; {need.remedy}")

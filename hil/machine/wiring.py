@@ -24,7 +24,7 @@ from hil.machine.machine import Machine, session_of
 if TYPE_CHECKING:  # a verb loads the wire that its axis file names
     import canopen
 
-    from drivers.modbus.parameters import ModbusParameters
+    from drivers.modbus.raw_parameters import ModbusRawParameters
     from sim_backends.bench import BenchParameters
 
 
@@ -83,7 +83,7 @@ def connected_drive(
 
 
 @contextmanager
-def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
+def connected_registers(axis: AxisConfig) -> Iterator[ModbusRawParameters]:
     """A Modbus drive's registers by name. No sample is taken, so that it works with a wrong register map too.
 
     Raises CapabilityError for a drive that is not on Modbus, and as `connected`.
@@ -97,7 +97,7 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusParameters]:
             raise CapabilityError(f"axis {axis.name} has no registers: its drive is not on Modbus")
         drive.link.open()
         stack.callback(drive.link.close)
-        yield drive.parameters
+        yield drive.raw
 
 
 def _drive_alone(

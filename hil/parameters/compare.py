@@ -8,7 +8,7 @@ from enum import Enum
 from typing import Any
 
 from drivers.parameters import ParameterValue
-from drivers.raw_parameters import DriveIdentity, RawParameters, Steps, WireTime
+from drivers.raw_parameters import Access, DriveIdentity, RawParameters, Steps, WireTime
 from hil.parameters.preflight import (
     Objection,
     left_out,
@@ -105,9 +105,9 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
     comparison.objections = objections
     done = 0
 
-    def tell(count: int) -> None:
+    def tell(accesses: Sequence[Access]) -> None:
         nonlocal done
-        done += count
+        done += len(accesses)
         progress("read", drive.name, done, len(wanted))
 
     comparison.identity = yield from drive.identify()

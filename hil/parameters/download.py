@@ -11,14 +11,12 @@ Drives on different lines, and on one line as far as it allows, are served side 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from functools import partial
 
 from drivers.drive import DriveState
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, LinkLostError, StateError
-from drivers.raw_parameters import DriveIdentity, RawParameters, Steps
-from hil.correction.store import BoundTables
-from hil.parameters.journal import Journal, Noted, Phase
+from drivers.raw_parameters import Steps
+from hil.parameters.journal import Noted, Phase
 from hil.parameters.preflight import (
     Objection,
     left_out,
@@ -33,36 +31,8 @@ from hil.parameters.preflight import (
 )
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import Ask, audit
-from hil.parameters.set_file import ParameterSet
-from hil.parameters.tasks import DriveTask, Progress, no_progress, reports_of, stage
-from hil.parameters.transaction import DriveJob, ended_in
-
-
-@dataclass
-class Target:
-    """One drive of a download: its set and its journal. any_version: a set of another revision or firmware is allowed.
-
-    other_eds: a maker's file of another vendor or product is allowed;
-    tables: what the axis's stored tables were made with, None where it has none; backlash: addresses of the drive's own compensation
-    """
-
-    drive: RawParameters
-    contents: ParameterSet
-    journal: Journal
-    any_version: bool = False
-    other_eds: bool = False
-    tables: BoundTables | None = None
-    backlash: Sequence[str] = ()
-
-
-@dataclass
-class _Download(DriveTask):
-    """A target during a download."""
-
-    target: Target = field(kw_only=True)
-    identity: DriveIdentity | None = None
-    written: Sequence[str] = ()
-    not_kept: str = ""  # reason of the drive for not storing
+from hil.parameters.tasks import Progress, no_progress, reports_of, stage
+from hil.parameters.transaction import DriveTask, Target, ended_in
 
 
 def download(
@@ -74,7 +44,7 @@ def download(
     Errors of a drive or its wire are in the reports. Raises InputError where an earlier download of a target is not finished, or the
     journal cannot be written before the first write. KeyboardInterrupt is raised after everything was put back.
     """
-    works = [_Download(each.drive, each.journal, DriveJob(each.drive), target=each) for each in targets]
+    works = [DriveTask(each) for each in targets]
     for work in works:
         refuse_unfinished(work)
         work.began_ns = work.drive.clock.now_ns()
@@ -119,7 +89,7 @@ def refuse_unfinished(work: DriveTask) -> None:
 
 
 # -- the stages of one drive -------------------------------------------------------------------------------------------
-def _look(work: _Download, store: bool) -> Steps[None]:
+def _look(work: DriveTask, store: bool) -> Steps[None]:
     drive, contents = work.drive, work.target.contents
     wanted, work.objections = match_set(drive, contents)
     for each in wanted:
@@ -157,8 +127,7 @@ def snapshot(work: DriveTask) -> Steps[None]:
     Raises LinkLostError when the drive restarts meanwhile.
     """
     work.starts = work.drive.restarts
-    accesses = yield from work.drive.read(list(work.new), work.job.tell)
-    work.job.latencies.note(work.job.latencies.read_s, accesses)
+    accesses = yield from work.drive.read(list(work.new), work.done)
     for access in accesses:
         if access.data is not None:
             work.old[access.address] = access.data
@@ -169,7 +138,7 @@ def snapshot(work: DriveTask) -> Steps[None]:
         raise LinkLostError(f"drive {work.drive.name} started anew while it was read")
 
 
-def _begin(works: Sequence[_Download], store: bool) -> None:
+def _begin(works: Sequence[DriveTask], store: bool) -> None:
     """Write the journal of every drive before the first write to any."""
     for work in works:
         if work.identity is None or not (work.differing() or store):
@@ -185,8 +154,8 @@ def _begin(works: Sequence[_Download], store: bool) -> None:
         )
 
 
-def _write(work: _Download) -> Steps[None]:
-    work.written = yield from work.job.bring(work.new, work.old, work.after, starts=work.starts)
+def _write(work: DriveTask) -> Steps[None]:
+    yield from work.bring(work.new, work.old, starts=work.starts)
     work.note(Phase.PROVEN)
 
 
@@ -198,7 +167,7 @@ def put_back(work: DriveTask) -> Steps[None]:
         work.notes.append(ended_in(error))
     work.ending = Ending.UNFINISHED
     try:
-        yield from work.job.settle_at(work.old, work.after)
+        yield from work.settle_at(work.old)
     except BridgeError as error:
         work.notes.append(f"it could not be put back: {ended_in(error)}")
         return
@@ -206,7 +175,7 @@ def put_back(work: DriveTask) -> Steps[None]:
     work.ending = Ending.PUT_BACK
 
 
-def _keep(work: _Download) -> Steps[None]:
+def _keep(work: DriveTask) -> Steps[None]:
     try:
         yield from keep(work, work.new)
     except (AbortError, CapabilityError, StateError) as error:  # the drive refused, so its state is known
@@ -231,20 +200,20 @@ def keep(work: DriveTask, goals: Mapping[str, bytes]) -> Steps[None]:
     except (AbortError, CapabilityError) as error:
         refusal = error
     if drive.restarts != work.starts or not drive.hears_restarts:
-        yield from work.job.prove(list(goals), goals)
+        yield from drive.prove(goals, work.done, work.settle_s)
     if refusal is not None:
         raise refusal
     work.stored = True
     work.note(Phase.STORED)
 
 
-def _end(work: _Download) -> None:
+def _end(work: DriveTask) -> None:
     """Set the ending after everything was read back. A store without an answer leaves the download unfinished; it can be resumed."""
     if work.error:
         work.ending = Ending.UNFINISHED
         work.notes.append("everything is written and was read back; whether the drive keeps it is not known")
         return
-    work.ending = Ending.WRITTEN if work.written else Ending.UNCHANGED
+    work.ending = Ending.WRITTEN if work.differing() else Ending.UNCHANGED
     work.note(Phase.END, ending=work.ending.name)
     if work.not_kept:
         work.fail(StateError(f"it was not stored: {work.not_kept}"))

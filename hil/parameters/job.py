@@ -23,17 +23,18 @@ from hil.desk.job import Job, Workplace
 from hil.desk.plan import Plan, Write
 from hil.machine.events import Event
 from hil.parameters.compare import Comparison, compare
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.formats import FORMATS, read_any, write_any
 from hil.parameters.journal import Download, Journal
 from hil.parameters.listing import Listing, listing_of
 from hil.parameters.outcome import BackedUp, keep_outcome
-from hil.parameters.recover import Unfinished, recover, set_after, set_before
+from hil.parameters.recover import recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import Ask
 from hil.parameters.set_file import FORMAT, ParameterSet, object_address
 from hil.parameters.snapshot import Backup, back_up
 from hil.parameters.tasks import Progress, no_progress
+from hil.parameters.transaction import Target
 from hil.parameters.wiring import connected_parameters, journal_of
 from hil.records.files import naming
 
@@ -160,8 +161,8 @@ def recover_axes(
     if not cut_off:
         return []
     with connected_parameters(cut_off, waiting) as drives:
-        targets = [Unfinished(drive, journal_of(axis)) for drive, axis in zip(drives, cut_off, strict=True)]
-        return recover(targets, forward=forward, progress=progress)
+        each = [(drive, journal_of(axis)) for drive, axis in zip(drives, cut_off, strict=True)]
+        return recover(each, forward=forward, progress=progress)
 
 
 def unfinished(axis: DriveAxis) -> Download | None:

@@ -70,8 +70,7 @@ def listing_of(backup: Backup) -> Listing:
     for address, parameter in drive.entries.items():
         empty = SetEntry(address, None, None, parameter.type, drive.unit_of(parameter), parameter.info.name)
         entry = read.get(address, empty)
-        refusal = (parameter.refusal or "").removeprefix(f"{address} {parameter.info.name} ")
-        listed.append(ListedParameter(entry, parameter.info, refusal, unreadable.get(address, "")))
+        listed.append(ListedParameter(entry, parameter.info, parameter.refusal or "", unreadable.get(address, "")))
     return Listing(datetime.now().astimezone(), contents.identity, tuple(listed))
 
 

@@ -6,7 +6,6 @@ The drive may hold old and new values, or others if it was without power meanwhi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import partial
 
 from drivers.errors import InputError, StateError
@@ -16,29 +15,23 @@ from hil.parameters.journal import Download, Journal, Phase
 from hil.parameters.preflight import objection_to_state, objections_to_identity
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry
-from hil.parameters.tasks import DriveTask, Progress, no_progress, reports_of, stage
-from hil.parameters.transaction import DriveJob
+from hil.parameters.tasks import Progress, no_progress, reports_of, stage
+from hil.parameters.transaction import DriveTask, Target
 
 
-@dataclass
-class Unfinished:
-    """A drive with an unfinished download in its journal."""
-
-    drive: RawParameters
-    journal: Journal
-
-
-def recover(targets: Sequence[Unfinished], *, forward: bool, progress: Progress = no_progress) -> list[JobReport]:
+def recover(
+    drives: Sequence[tuple[RawParameters, Journal]], *, forward: bool, progress: Progress = no_progress
+) -> list[JobReport]:
     """Finish (forward) or undo the unfinished download of each drive, which must be the same unit.
 
     After an error of a drive or its wire the download stays unfinished and can be recovered again; the report names the error. Raises
     InputError where a journal cannot be read, or the drive's file lacks one of its parameters.
     """
     works = []
-    for target in targets:
-        noted = target.journal.unfinished()
+    for drive, journal in drives:
+        noted = journal.unfinished()
         if noted is not None:
-            works.append(_work(target, noted, forward))
+            works.append(_work(Target(drive, set_after(noted), journal), noted, forward))
     stage(
         works,
         "resume" if forward else "put back",
@@ -52,8 +45,8 @@ def recover(targets: Sequence[Unfinished], *, forward: bool, progress: Progress 
     return reports_of(works)
 
 
-def _work(target: Unfinished, noted: Download, forward: bool) -> DriveTask:
-    work = DriveTask(target.drive, target.journal, DriveJob(target.drive), noted=noted, meant_back=not forward)
+def _work(target: Target, noted: Download, forward: bool) -> DriveTask:
+    work = DriveTask(target, noted=noted, meant_back=not forward)
     work.began_ns = target.drive.clock.now_ns()
     for each in noted.parameters:
         parameter = target.drive.find(each.address)
@@ -75,7 +68,7 @@ def _finish(work: DriveTask, forward: bool) -> Steps[None]:
     goals = work.new if forward else work.old
     if not forward:
         work.note(Phase.GOING_BACK)
-    written = yield from work.job.settle_at(goals, work.after)
+    written = yield from work.settle_at(goals)
     if forward:
         work.note(Phase.PROVEN)
     work.starts = work.drive.restarts

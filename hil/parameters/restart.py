@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from drivers.errors import CapabilityError, NoAnswerError, RemoteError, StateError, TransportError
 from drivers.raw_parameters import Pause, RawParameters, Steps
 from hil.parameters.preflight import objection_to_state
-from hil.parameters.tasks import DriveTask, Progress, no_progress, run_together, serialized, stage
-from hil.parameters.transaction import ended_in
+from hil.parameters.tasks import Progress, no_progress, run_together, serialized, stage
+from hil.parameters.transaction import DriveTask, ended_in
 
 Ask = Callable[[str], None]
 """ask(what): asks a person to do something and returns at once; the drive shows when it was done."""
@@ -63,8 +63,8 @@ def _until(drive: RawParameters, answers: bool, within_s: float) -> Steps[None]:
 
 
 def _compare(work: DriveTask) -> Steps[None]:
-    shown = yield from work.job.show(list(work.new))
-    work.lost = [address for address, data in work.new.items() if not work.same(address, shown[address], data)]
+    shown = yield from work.drive.show(list(work.new), work.done)
+    work.lost = [address for address, data in work.new.items() if not work.drive.shows(address, shown[address], data)]
     work.audited = not work.lost
 
 

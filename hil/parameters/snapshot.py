@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 from drivers.errors import BridgeError, TransportError
 from drivers.parameters import ParameterKind
-from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, Steps
+from drivers.raw_parameters import Access, DriveIdentity, RawParameter, RawParameters, Steps
 from hil.parameters.preflight import notes_of_file, objections_to_file
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.tasks import Progress, no_progress, run_together, serialized
@@ -48,9 +48,9 @@ def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> St
     wanted = [entry for entry in drive.entries.values() if everything or entry.refusal is None]
     done = 0
 
-    def tell(count: int) -> None:
+    def tell(accesses: Sequence[Access]) -> None:
         nonlocal done
-        done += count
+        done += len(accesses)
         progress("read", drive.name, done, len(wanted))
 
     identity = yield from drive.identify()

@@ -7,21 +7,19 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from contextvars import copy_context
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from typing import ParamSpec, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import BridgeError
-from drivers.raw_parameters import Line, Pause, RawParameter, RawParameters, Steps
-from hil.parameters.journal import Download, Journal, Phase
-from hil.parameters.preflight import Objection
+from drivers.raw_parameters import Access, Line, Pause, RawParameters, Steps
 from hil.parameters.report import Ending, JobReport, Row, Verdict
-from hil.parameters.transaction import DriveJob, ended_in
+from hil.parameters.transaction import DriveTask
 
 P = ParamSpec("P")
 T = TypeVar("T")
-W = TypeVar("W", bound="DriveTask")
+W = TypeVar("W", bound=DriveTask)
 Progress = Callable[[str, str, int, int], None]
 """progress(stage, drive, done, total)"""
 
@@ -37,49 +35,6 @@ VERDICTS = {
 
 def no_progress(_stage: str, _drive: str, _done: int, _total: int) -> None:
     """No observer is registered; progress is dropped."""
-
-
-@dataclass
-class DriveTask:
-    """One drive during a job. old, new: address -> the drive's bytes, as far as known; after: address -> addresses written before
-    it."""
-
-    drive: RawParameters
-    journal: Journal
-    job: DriveJob
-    parameters: dict[str, RawParameter] = field(default_factory=dict)
-    old: dict[str, bytes] = field(default_factory=dict)
-    new: dict[str, bytes] = field(default_factory=dict)
-    after: dict[str, Sequence[str]] = field(default_factory=dict)
-    objections: list[Objection] = field(default_factory=list)
-    noted: Download | None = None
-    ending: Ending | None = None
-    stored: bool = False
-    error: str = ""
-    notes: list[str] = field(default_factory=list)
-    meant_back: bool = False
-    audited: bool | None = None
-    lost: list[str] = field(default_factory=list)
-    began_ns: int = 0
-    starts: int = 0  # the drive's count of restarts when its values were read
-    seconds: float = 0.0
-
-    def fail(self, error: BridgeError) -> None:
-        """Set the error, unless there is one already."""
-        self.error = self.error or ended_in(error)
-
-    def differing(self) -> list[str]:
-        """Addresses whose new value is not the old one."""
-        return [address for address in self.new if not self.same(address, self.old[address], self.new[address])]
-
-    def same(self, address: str, shown: bytes, meant: bytes) -> bool:
-        """Whether a value read back is the value meant, by the parameter's type."""
-        return self.drive.same(self.parameters[address], shown, meant)
-
-    def note(self, phase: Phase, **facts: object) -> None:
-        """Append a step to the journal, where this drive has one. Raises InputError when it cannot be written."""
-        if self.noted is not None:
-            self.journal.note(self.noted, phase, **facts)
 
 
 def run_together(
@@ -213,12 +168,12 @@ def _timed(steps: Callable[[W], Steps[None]], work: W) -> Steps[None]:
 def _count(work: DriveTask, name: str, total: int, progress: Progress) -> None:
     done = 0
 
-    def tell(count: int) -> None:
+    def tell(accesses: Sequence[Access]) -> None:
         nonlocal done
-        done += count
+        done += len(accesses)
         progress(name, work.drive.name, min(done, total), total)
 
-    work.job.tell = tell
+    work.tell = tell
 
 
 def reports_of(works: Sequence[DriveTask]) -> list[JobReport]:
@@ -249,8 +204,8 @@ def _report(work: DriveTask, others: Sequence[str]) -> JobReport:
 
 
 def _row(work: DriveTask, address: str, ending: Ending) -> Row:
-    parameter, latencies = work.parameters[address], work.job.latencies
-    same = work.same(address, work.old[address], work.new[address])
+    parameter = work.parameters[address]
+    same = work.drive.shows(address, work.old[address], work.new[address])
     return Row(
         address,
         parameter.info.name,
@@ -258,6 +213,6 @@ def _row(work: DriveTask, address: str, ending: Ending) -> Row:
         work.drive.decode(parameter, work.old[address]),
         work.drive.decode(parameter, work.new[address]),
         Verdict.SAME if same and ending is not Ending.UNFINISHED else VERDICTS[ending],
-        latencies.read_s.get(address),
-        latencies.write_s.get(address),
+        work.read_s.get(address),
+        work.write_s.get(address),
     )

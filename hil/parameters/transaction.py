@@ -9,87 +9,137 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
-from drivers.clock import Clock
 from drivers.errors import (
     AbortError,
     BridgeError,
     InputError,
     LinkLostError,
-    ProtocolError,
     RemoteError,
     TransportError,
 )
-from drivers.raw_parameters import Access, Pause, RawParameters, Steps, Tell, no_observer
+from drivers.raw_parameters import (
+    SETTLE_S,
+    Access,
+    DriveIdentity,
+    Pause,
+    RawParameter,
+    RawParameters,
+    Steps,
+    Tell,
+    no_observer,
+)
+from hil.correction.store import BoundTables
+from hil.parameters.journal import Download, Journal, Phase
+from hil.parameters.preflight import Objection
+from hil.parameters.report import Ending
+from hil.parameters.set_file import ParameterSet
 
-SETTLE_S = 0.5
-"""Time limit for a drive to read back what it has accepted, s."""
 RETRY_WITHIN_S = 3.0
 """Time for which putting back is retried while the drive does not answer, s."""
 _POLL_S = 0.02
-"""Interval between two readings back, and first interval between two retries, s."""
+"""First interval between two retries, s."""
 
 
 @dataclass
-class Latencies:
-    """Longest answer time of each address, s."""
+class Target:
+    """One drive of a download: its set and its journal. any_version: a set of another revision or firmware is allowed.
 
-    read_s: dict[str, float] = field(default_factory=dict)
-    write_s: dict[str, float] = field(default_factory=dict)
-
-    def note(self, kind: dict[str, float], accesses: Sequence[Access]) -> None:
-        """Take the answer times of successful accesses. kind: `read_s` or `write_s`."""
-        for each in accesses:
-            if each.error is None:
-                kind[each.address] = max(each.seconds, kind.get(each.address, 0.0))
-
-
-@dataclass
-class DriveJob:
-    """Accesses to one drive. tell: called with the number of accesses done."""
+    other_eds: a maker's file of another vendor or product is allowed;
+    tables: what the axis's stored tables were made with, None where it has none; backlash: addresses of the drive's own compensation
+    """
 
     drive: RawParameters
-    tell: Tell = no_observer
+    contents: ParameterSet
+    journal: Journal
+    any_version: bool = False
+    other_eds: bool = False
+    tables: BoundTables | None = None
+    backlash: Sequence[str] = ()
+
+
+@dataclass
+class DriveTask:
+    """A target during a job. old, new: address -> the drive's bytes, as far as known; after: address -> addresses written before it.
+
+    tell: called with the accesses done; read_s, write_s: longest answer time of each address
+    """
+
+    target: Target
     settle_s: float = SETTLE_S
-    latencies: Latencies = field(default_factory=Latencies)
+    tell: Tell = no_observer
+    read_s: dict[str, float] = field(default_factory=dict)
+    write_s: dict[str, float] = field(default_factory=dict)
+    identity: DriveIdentity | None = None
+    parameters: dict[str, RawParameter] = field(default_factory=dict)
+    old: dict[str, bytes] = field(default_factory=dict)
+    new: dict[str, bytes] = field(default_factory=dict)
+    after: dict[str, Sequence[str]] = field(default_factory=dict)
+    objections: list[Objection] = field(default_factory=list)
+    noted: Download | None = None
+    ending: Ending | None = None
+    stored: bool = False
+    error: str = ""
+    not_kept: str = ""  # the drive's reason for not storing
+    notes: list[str] = field(default_factory=list)
+    meant_back: bool = False
+    audited: bool | None = None
+    lost: list[str] = field(default_factory=list)
+    began_ns: int = 0
+    starts: int = 0  # the drive's count of restarts when its values were read
+    seconds: float = 0.0
 
     @property
-    def clock(self) -> Clock:
-        """The drive's clock."""
-        return self.drive.clock
+    def drive(self) -> RawParameters:
+        return self.target.drive
 
-    # -- looking ---------------------------------------------------------------------------------------------------------
-    def show(self, addresses: Sequence[str]) -> Steps[dict[str, bytes]]:
-        """Read values, address -> the drive's bytes. Raises the error of the first failing access."""
-        accesses = yield from self.drive.read(addresses, self.tell)
-        self.latencies.note(self.latencies.read_s, accesses)
+    @property
+    def journal(self) -> Journal:
+        return self.target.journal
+
+    def done(self, accesses: Sequence[Access]) -> None:
+        """Take the answer times of successful accesses, and pass them on to `tell`."""
         for each in accesses:
-            if each.error is not None:
-                raise each.error
-        return {each.address: each.data for each in accesses if each.data is not None}
+            if each.error is None:
+                kind = self.write_s if each.data is None else self.read_s
+                kind[each.address] = max(each.seconds, kind.get(each.address, 0.0))
+        self.tell(accesses)
+
+    def fail(self, error: BridgeError) -> None:
+        """Set the error, unless there is one already."""
+        self.error = self.error or ended_in(error)
+
+    def differing(self) -> list[str]:
+        """Addresses whose new value is not the old one."""
+        return [address for address in self.new if not self.drive.shows(address, self.old[address], self.new[address])]
+
+    def note(self, phase: Phase, **facts: object) -> None:
+        """Append a step to the journal, where this drive has one. Raises InputError when it cannot be written."""
+        if self.noted is not None:
+            self.journal.note(self.noted, phase, **facts)
 
     # -- bringing the drive to what is wanted ----------------------------------------------------------------------------
     def bring(
         self,
         goals: Mapping[str, bytes],
         present: Mapping[str, bytes],
-        after: Mapping[str, Sequence[str]],
         *,
         starts: int,
         prove_all: bool = False,
     ) -> Steps[list[str]]:
         """Write the goals that differ from `present`, and read them back; returns the addresses written, in order.
 
-        after: addresses to be written before an address; starts: the drive's count of restarts when `present` was read
+        starts: the drive's count of restarts when `present` was read
         prove_all: read back all goals, not only those written
         Raises the drive's error, ProtocolError for a value that was accepted and does not read back, LinkLostError when the drive
         restarts meanwhile, InputError for a circular order.
         """
         drive = self.drive
-        differing = [address for address in goals if not self._same(address, present[address], goals[address])]
-        ordered = self._ordered(differing, present, goals, after)
+        differing = [address for address in goals if not drive.shows(address, present[address], goals[address])]
+        ordered = self._ordered(differing, present, goals)
         yield from self._write(ordered, goals)
         prove_all = prove_all or (bool(ordered) and not drive.hears_restarts)
-        yield from self.prove(list(goals) if prove_all else ordered, goals)
+        proven = goals if prove_all else {address: goals[address] for address in ordered}
+        yield from drive.prove(proven, self.done, self.settle_s)
         if drive.restarts != starts:
             raise LinkLostError(f"drive {drive.name} started anew meanwhile")
         return ordered
@@ -99,11 +149,10 @@ class DriveJob:
         differing: Sequence[str],
         present: Mapping[str, bytes],
         goals: Mapping[str, bytes],
-        after: Mapping[str, Sequence[str]],
     ) -> list[str]:
         pairs = self.drive.limit_pairs
         crossing = uncrossed(pairs, self._numbers(pairs, present), self._numbers(pairs, goals))
-        return in_order(differing, self.drive.rank, after, crossing)
+        return in_order(differing, self.drive.rank, self.after, crossing)
 
     def _numbers(self, pairs: Sequence[tuple[str, str]], data: Mapping[str, bytes]) -> dict[str, float]:
         numbers: dict[str, float] = {}
@@ -120,8 +169,7 @@ class DriveJob:
         refused: list[tuple[str, AbortError]] = []
         progress = False
         while pending:
-            accesses = yield from self.drive.write([(address, goals[address]) for address in pending], self.tell)
-            self.latencies.note(self.latencies.write_s, accesses)
+            accesses = yield from self.drive.write([(address, goals[address]) for address in pending], self.done)
             error = accesses[-1].error
             done = len(accesses) - (error is not None)
             progress |= done > 0
@@ -137,50 +185,20 @@ class DriveJob:
         if refused:
             raise refused[0][1]
 
-    def prove(self, addresses: Sequence[str], goals: Mapping[str, bytes]) -> Steps[None]:
-        """Read back until the values are the goals. Raises ProtocolError when they are not within `settle_s`."""
-        deadline = self.clock.deadline(self.settle_s)
-        wrong = list(addresses)
-        while True:
-            shown = yield from self.show(wrong)
-            wrong = [address for address in wrong if not self._same(address, shown[address], goals[address])]
-            if not wrong:
-                return
-            if deadline.expired:
-                raise ProtocolError(self._mismatch(wrong[0], goals[wrong[0]], shown[wrong[0]], len(wrong)))
-            yield Pause(_POLL_S)
-
-    def _mismatch(self, address: str, meant: bytes, shown: bytes, count: int) -> str:
-        parameter = self.drive.find(address)
-        if parameter is None:
-            return f"drive {self.drive.name}: {address} reads back {shown.hex()}, written was {meant.hex()}"
-        values = [self.drive.decode(parameter, data) for data in (meant, shown)]
-        more = "" if count == 1 else f" (and {count - 1} more)"
-        return (
-            f"drive {self.drive.name}: {address} {parameter.info.name} was written {values[0]!r},"
-            f" it reads back {values[1]!r}{more}"
-        )
-
-    def _same(self, address: str, shown: bytes, meant: bytes) -> bool:
-        parameter = self.drive.find(address)
-        return shown == meant if parameter is None else self.drive.same(parameter, shown, meant)
-
     # -- going to one side, whatever it takes ----------------------------------------------------------------------------
-    def settle_at(
-        self, goals: Mapping[str, bytes], after: Mapping[str, Sequence[str]], retry_within_s: float = RETRY_WITHIN_S
-    ) -> Steps[list[str]]:
+    def settle_at(self, goals: Mapping[str, bytes], retry_within_s: float = RETRY_WITHIN_S) -> Steps[list[str]]:
         """Bring the drive to the goals from any state, with retries until `retry_within_s` has passed; returns the addresses written.
 
         All goals are read back at the end. Raises the last error when it fails.
         """
-        deadline = self.clock.deadline(retry_within_s)
+        deadline = self.drive.clock.deadline(retry_within_s)
         pause_s = _POLL_S
         written: list[str] = []
         while True:
             try:
                 starts = self.drive.restarts
-                present = yield from self.show(list(goals))
-                written += yield from self.bring(goals, present, after, starts=starts, prove_all=True)
+                present = yield from self.drive.show(list(goals), self.done)
+                written += yield from self.bring(goals, present, starts=starts, prove_all=True)
             except LinkLostError as error:
                 if self.drive.gone or deadline.expired:
                     raise error

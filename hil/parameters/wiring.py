@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import load_eds
+from drivers.canopen.node import Node
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.table_map import load_table_map
@@ -131,20 +132,17 @@ def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawP
         lines.can[bus] = CanLine(stack.enter_context(link))
     eds = None if config.eds is None else load_eds(config.eds, config.node_id)
     table = load_table_map(config.correction_table) if config.correction_table else None
-    drive = CanOpenRawParameters(
-        axis.name,
+    node = Node(axis.name, lines.can[bus].link, config.node_id, eds, table)
+    node.open(config.sdo_timeout_s)
+    stack.callback(node.close)
+    return CanOpenRawParameters(
+        node,
         lines.can[bus],
-        config.node_id,
-        eds,
-        table=table,
-        timeout_s=config.sdo_timeout_s,
         bitrate=config.bitrate,
         scaling=axis.scaling,
         velocity_unit=config.velocity_unit,
         acceleration_unit=config.acceleration_unit,
     )
-    stack.callback(drive.close)
-    return drive
 
 
 def _modbus(axis: DriveAxis, line: ModbusLine) -> RawParameters:

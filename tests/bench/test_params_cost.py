@@ -18,11 +18,12 @@ from support.bench import Record, row
 from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set
 
 from drivers.raw_parameters import WireTime
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.predict import Prediction, predict, seconds_together
 from hil.parameters.preflight import match_set
 from hil.parameters.report import Ending
 from hil.parameters.set_file import ParameterSet
+from hil.parameters.transaction import Target
 
 COUNT = 300
 EACH = 100  # on each of eight nodes: the ratios are those of 300, in a third of the time

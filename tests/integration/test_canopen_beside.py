@@ -305,6 +305,8 @@ def test_a_second_thread_reads_while_the_first_one_moves() -> None:
             for place_mm in (5.0, 0.0):
                 drive.start_move(place_mm, 100.0)
                 drive.wait_for(lambda sample: sample.target_reached, 10.0, "the target")
+                windows = {drive.parameters.read("following_error_window") for _ in range(50)}
+                assert len(windows) == 1
         finally:
             ended.set()
             thread.join()

@@ -17,7 +17,7 @@ from support.parameter_faults import KilledError
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import load_eds
-from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
+from drivers.canopen.node import NmtCommand, NmtState, Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec, same, wanted_image
 from drivers.canopen.pdo_setup import configure, read_image
 from drivers.canopen.raw_parameters import CanOpenRawParameters
@@ -29,13 +29,14 @@ from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError
 from hil.parameters.compare import compare
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.formats import read_any, write_any
 from hil.parameters.journal import Journal
-from hil.parameters.recover import Unfinished, recover
+from hil.parameters.recover import recover
 from hil.parameters.report import Ending
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
+from hil.parameters.transaction import Target
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave, served
 from sim_backends.servo import SimulatedServo
@@ -216,7 +217,9 @@ def test_a_parameter_set_goes_into_their_node_and_out_again(ours: Ours, tmp_path
     link, node = ours
     node.sdo[0x6041].raw = 0x0250  # switch on disabled
     node.sdo[0x2101].raw = "as found"  # theirs has no value where its EDS has no default, and says so when it is read
-    drive = CanOpenRawParameters("theirs", CanLine(link), NODE, load_eds(EDS, NODE))
+    opened = Node("theirs", link, NODE, load_eds(EDS, NODE))
+    opened.open()
+    drive = CanOpenRawParameters(opened, CanLine(link))
     journal = Journal(tmp_path)
     backup = back_up([drive])[0].contents
     assert backup is not None
@@ -242,7 +245,7 @@ def test_a_parameter_set_goes_into_their_node_and_out_again(ours: Ours, tmp_path
         with pytest.raises(KilledError):
             download([Target(drive, before, journal)], progress=cut_off)
         drive.clock.sleep_s(0.01)
-        assert recover([Unfinished(drive, journal)], forward=forward)[0].good
+        assert recover([(drive, journal)], forward=forward)[0].good
         assert compare([(drive, held)])[0].same
 
     def refuse(index: int, subindex: int, od: object, data: bytes) -> None:
@@ -257,4 +260,4 @@ def test_a_parameter_set_goes_into_their_node_and_out_again(ours: Ours, tmp_path
     assert {(entry.address, entry.value) for entry in read_any(path).entries} == {
         (entry.address, entry.value) for entry in before.entries
     }
-    drive.close()
+    opened.close()

@@ -16,6 +16,7 @@ from support.modbus_in_turn import in_turn
 from drivers.drive import Capability, DriveLimits, DriveState
 from drivers.errors import (
     AbortError,
+    BridgeError,
     CapabilityError,
     DriveFaultError,
     HeldUnderPowerError,
@@ -144,13 +145,13 @@ def test_everything_changed_is_put_back() -> None:
     names = ("target_speed", "ramp")
     with rig(VENDOR) as r:
         with r.drive as drive:
-            before = drive.parameters.read_many(names)
+            before = drive.access.read(names)
             drive.enable()
             drive.start_move(5.0, 10.0)
             drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-            assert drive.parameters.read_many(names) != before
+            assert drive.access.read(names) != before
         with r.drive as drive:
-            assert drive.parameters.read_many(names) == before
+            assert drive.access.read(names) == before
 
 
 def test_a_sample_is_one_request_per_table(each: Rig) -> None:
@@ -638,7 +639,7 @@ def test_a_stream_that_cannot_be_entered_or_left_leaves_the_axis_without_power()
 def test_a_drive_that_falls_silent_for_a_while_is_disabled_and_put_back_by_closing(each: Rig) -> None:
     names = ("profile_velocity",) if isinstance(each.face, Cia402Registers) else ("target_speed",)
     with each.drive as drive:
-        before = drive.parameters.read_many(names)
+        before = drive.access.read(names)
     drive.open()
     drive.enable()
     drive.start_move(200.0, 10.0)
@@ -646,7 +647,7 @@ def test_a_drive_that_falls_silent_for_a_while_is_disabled_and_put_back_by_closi
     drive.close()
     assert not each.servo.powered
     with each.drive as drive:
-        assert drive.parameters.read_many(names) == before
+        assert drive.access.read(names) == before
 
 
 def test_a_drive_that_cannot_be_disabled_is_stopped_keeps_its_mode_and_is_told_by_closing() -> None:
@@ -762,6 +763,12 @@ def test_a_state_the_map_does_not_know_is_a_protocol_error() -> None:
         r.face.profile.defects.clear()
 
 
+def store(drive: ModbusDrive) -> None:
+    (result,) = drive.raw.line.run([drive.raw.store()])
+    if isinstance(result, BridgeError):
+        raise result
+
+
 # -- parameters --------------------------------------------------------------------------------------------------------
 def test_parameters_by_name_in_their_units(each: Rig) -> None:
     with each.drive as drive:
@@ -772,19 +779,21 @@ def test_parameters_by_name_in_their_units(each: Rig) -> None:
         assert drive.parameters.write(gain, 37.5) is False  # holds it already: not written
         assert drive.parameters.write(limit, 123.4) is True
         assert drive.parameters.read(limit) == pytest.approx(123.4)
-        with pytest.raises(InputError, match=f"{limit} cannot be 301 percent, allowed is 0 to 300"):
+        with pytest.raises(InputError, match=f"{limit}: 301.* is above its limit 300"):
             drive.parameters.write(limit, 301)
-        with pytest.raises(InputError, match="has no register 'nonsense'"):
+        with pytest.raises(InputError, match="has no parameter 'nonsense'"):
             drive.parameters.read("nonsense")
 
 
-@pytest.mark.parametrize(("name", "what"), [("controlword", "moves the axis"), ("target_position", "moves the axis")])
+@pytest.mark.parametrize(
+    ("name", "what"), [("controlword", "is a command, a target"), ("target_position", "is a command, a target")]
+)
 def test_what_moves_the_axis_is_no_parameter(name: str, what: str) -> None:
     with rig(CIA402) as r, r.drive as drive:
         with pytest.raises(CapabilityError, match=what):
             drive.parameters.write(name, 1)
-        assert name not in drive.parameters.writable_names
-        with pytest.raises(CapabilityError, match="cannot be written and read back"):
+        assert not drive.parameters.describe(name).writable
+        with pytest.raises(CapabilityError, match="statusword is read only"):
             drive.parameters.write("statusword", 1)
 
 
@@ -801,7 +810,7 @@ def test_eeprom_is_spared_and_the_count_outlives_the_process(tmp_path: Path) -> 
         assert isinstance(r.face, VendorRegisters)
         assert r.face.eeprom_writes == {"origin_offset": 20}
     with rig(VENDOR, wear=WearLedger(ledger)) as r, r.drive as drive:
-        assert drive.parameters.wear.writes("X", "origin_offset") == 20
+        assert drive.raw.wear.writes("X", "origin_offset") == 20
         with pytest.raises(StateError):
             drive.parameters.write("origin_offset", 99)
         assert drive.parameters.write("origin_creep", 5.0)
@@ -820,7 +829,7 @@ def test_a_parameter_beyond_its_maps_limits_is_put_back_as_found(name: str, tmp_
         assert drive.parameters.write(name, 2) is True
         assert drive.parameters.write(name, before) is True
         assert drive.parameters.read(name) == before
-        with pytest.raises(InputError, match=f"{name} cannot be"):
+        with pytest.raises(InputError, match=f"{name}: .* is above its limit 50"):
             drive.parameters.write(name, before - 1)
 
 
@@ -838,7 +847,7 @@ def test_a_parameter_the_drive_silently_changes_is_found_out() -> None:
     with rig(CIA402) as r, r.drive as drive:
         assert isinstance(r.face, Cia402Registers)
         r.face.dictionary.on_read(0x6067, 0, lambda: 20)
-        with pytest.raises(ProtocolError, match="position_window was written as 77 and reads 20"):
+        with pytest.raises(ProtocolError, match="position_window was written 77, it reads back 20"):
             drive.parameters.write("position_window", 77)
 
 
@@ -847,37 +856,36 @@ def test_storing_waits_until_the_drive_is_done() -> None:
         drive.require(Capability.STORE)
         assert isinstance(r.face, Cia402Registers)
         start_ns = r.clock.now_ns()
-        drive.parameters.store(drive.sample().state)
+        store(drive)
         assert r.face.stores == 1
         assert r.clock.now_ns() - start_ns >= 200_000_000
         drive.enable()
         with pytest.raises(StateError, match="disable it before storing"):
-            drive.parameters.store(drive.sample().state)
+            store(drive)
     with rig(VENDOR) as r, r.drive as drive, pytest.raises(CapabilityError):
-        drive.parameters.store(drive.sample().state)
+        store(drive)
 
 
 def test_a_drive_that_is_busy_while_it_stores_has_the_time_that_its_map_gives() -> None:
     """5 s: longer than a busy drive is asked again by a single request."""
     with rig(CIA402) as r, r.drive as drive:
-        state = drive.sample().state
-        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, code=6, count=180, function=3))  # at 20 ms: 3.6 s
-        drive.parameters.store(state)
+        r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, code=6, nth=2, count=180, function=3))  # at 20 ms: 3.6 s
+        store(drive)
         r.server.faults.clear()
         r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, code=6, count=999, function=3))
         with pytest.raises(AbortError, match="asked again for 3 s"):
-            drive.parameters.store(state)
+            store(drive)
         r.server.faults.clear()
 
 
 def test_the_drive_states_its_own_units() -> None:
     with rig(CIA402) as r, r.drive as drive:
-        scaling = drive.parameters.reported_scaling()
+        scaling = drive.raw.reported_scaling()
         assert scaling.encoder_counts_per_motor_rev == COUNTS
         assert scaling.feed_mm_per_shaft_rev == 10
         assert scaling.counts_per_load_mm == Fraction(10_000)
     with rig(VENDOR) as r, r.drive as drive:
-        scaling = drive.parameters.reported_scaling()
+        scaling = drive.raw.reported_scaling()
         assert scaling.motor_revs_per_shaft_rev == 1
         assert scaling.counts_per_load_mm is None
 
@@ -891,11 +899,11 @@ def test_the_order_of_a_wide_register_is_found_from_what_the_display_shows(each:
         drive.start_move(123.4567, 100.0)
         drive.wait_for(lambda sample: sample.target_reached, 10.0, "arrived")
         known = each.servo.position_actual_counts
-        matches = drive.parameters.probe_order(name, known)
+        matches = drive.raw.probe_order(name, known)
         assert {(match.offset, match.layout) for match in matches} == {
             (0, Layout(kind, order)) for kind in (RegisterType.I32, RegisterType.U32)
         }
-        assert drive.parameters.probe_order(name, known + 3, tolerance=5.0) == matches
+        assert drive.raw.probe_order(name, known + 3, tolerance=5.0) == matches
 
 
 # -- its zero ----------------------------------------------------------------------------------------------------------

@@ -43,11 +43,12 @@ from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
 from hil.parameters.compare import compare
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.journal import Journal
-from hil.parameters.recover import Unfinished, recover
+from hil.parameters.recover import recover
 from hil.parameters.report import Ending
 from hil.parameters.snapshot import back_up
+from hil.parameters.transaction import Target
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
@@ -348,7 +349,7 @@ def test_a_parameter_set_goes_into_a_foreign_server_and_out_again(link: ModbusLi
         with pytest.raises(KilledError):
             download([Target(drive, OLD, journal)], progress=cut_off)
         assert not compare([(drive, OLD)])[0].same
-        assert recover([Unfinished(drive, journal)], forward=forward)[0].good
+        assert recover([(drive, journal)], forward=forward)[0].good
         assert compare([(drive, held)])[0].same
     assert download([Target(drive, backup, journal)])[0].ending is Ending.WRITTEN
     again = back_up([drive])[0].contents

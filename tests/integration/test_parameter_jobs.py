@@ -12,7 +12,7 @@ from support.bench_axis import AXIS
 from support.modbus_parameters import COUNT, NEW, OLD, FortyFace, write_map
 
 from drivers.canopen.bus import CanLink
-from drivers.canopen.raw_parameters import CanOpenRawParameters
+from drivers.canopen.node import Node
 from drivers.clock import WallClock
 from drivers.errors import CapabilityError, InputError, StateError
 from drivers.raw_parameters import DriveIdentity
@@ -299,7 +299,7 @@ def test_without_a_wire_no_adapter_is_opened_and_drives_on_one_bus_share_their_l
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     closed: list[str] = []
-    monkeypatch.setattr(CanOpenRawParameters, "close", lambda drive: closed.append(drive.name))
+    monkeypatch.setattr(Node, "close", lambda node: closed.append(node.name))
     places = {"X": "nobody0", "Y": "nobody0", "Z": "nobody1"}
     axes = [on_can(tmp_path, name=name, bus=("socketcan", channel)) for name, channel in places.items()]
     with unconnected_parameters(axes) as (first, second, other):

@@ -22,13 +22,14 @@ from hil.app.main import main
 from hil.axis.axis_file import load_drive_axis
 from hil.machine.canopen_wiring import canopen_drive
 from hil.parameters.compare import compare
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.formats import read_any, write_any
 from hil.parameters.job import load_set
 from hil.parameters.recover import set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, read_set, write_set
 from hil.parameters.snapshot import back_up
+from hil.parameters.transaction import Target
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
@@ -270,7 +271,7 @@ def test_commands_of_makers_are_never_downloaded(rig: ParameterRig, maker: Path,
     )
     refused = load(rig, read_set(own))
     assert refused.ending is Ending.REFUSED
-    assert "P-PRESET execution is a command by its name" in str(refused.objections[0])
+    assert "P-PRESET execution: is a command by its name" in str(refused.objections[0])
 
 
 def test_a_makers_file_of_another_vendor_is_named_before_anything_is_written(

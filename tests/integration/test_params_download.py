@@ -12,13 +12,14 @@ from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_se
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.raw_parameters import DriveIdentity
 from hil.parameters.compare import compare
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.journal import Journal
-from hil.parameters.recover import Unfinished, recover, set_before
+from hil.parameters.recover import recover, set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
+from hil.parameters.transaction import Target
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash
 
@@ -141,7 +142,7 @@ def test_a_cable_pulled_at_one_of_three_drives(make: Make) -> None:
     assert [rig.values(KEYS, node) for node in (0, 2)] == [before] * 2
     assert rig.values(KEYS, 1) not in (before, VALUES)
     rig.bench.clock.sleep_s(30.0)
-    assert recover([Unfinished(*both) for both in zip(rig.drives, rig.journals, strict=True)], forward=False)[0].good
+    assert recover(list(zip(rig.drives, rig.journals, strict=True)), forward=False)[0].good
     assert rig.values(KEYS, 1) == before
 
 

@@ -17,14 +17,15 @@ from drivers.errors import AbortError, NoAnswerError
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Request
 from drivers.raw_parameters import Pause, Steps
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.journal import Journal
 from hil.parameters.predict import predict
 from hil.parameters.preflight import match_set
-from hil.parameters.recover import Unfinished, recover
+from hil.parameters.recover import recover
 from hil.parameters.report import Ending, Verdict
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
+from hil.parameters.transaction import Target
 from sim_backends.clock import SimClock
 
 EVERY = 7  # request; 1 for all of them
@@ -59,7 +60,7 @@ def one_run(forty: Path, folder: Path, fault: Fault, *, forward: bool = True) ->
     if journal.unfinished() is not None:
         clock.sleep_s(OUTAGE_S)
         again = connect(forty, FaultyLine(face, clock, Fault()))
-        report = recover([Unfinished(again, journal)], forward=forward)[0]
+        report = recover([(again, journal)], forward=forward)[0]
         said, stored = report.ending, report.stored or stored
     held, kept = _side(face.ram), _side(face.flash)
     if said in (Ending.WRITTEN, Ending.UNCHANGED):

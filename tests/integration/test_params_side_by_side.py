@@ -8,18 +8,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from support.paper_drive import task_on
 from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_set, shows_late
 
 from drivers.canopen.eds import EdsFile, load_eds
-from drivers.canopen.raw_parameters import START_S, address_of
+from drivers.canopen.known_objects import address_of
+from drivers.canopen.raw_parameters import START_S
 from drivers.clock import Clock, WallClock
 from drivers.errors import NoAnswerError
 from drivers.modbus.wear import WearLedger
 from drivers.raw_parameters import Pause, RawParameters, Steps
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.report import Ending
 from hil.parameters.tasks import run_together
-from hil.parameters.transaction import DriveJob
+from hil.parameters.transaction import Target
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.clock import SimClock
 
@@ -77,13 +79,12 @@ def goals() -> dict[str, bytes]:
 
 
 def proves(drive: RawParameters) -> Steps[None]:
-    job = DriveJob(drive, settle_s=2 * SLOW_S)
-    present = yield from job.show(list(goals()))
-    yield from job.bring(goals(), present, {}, starts=drive.restarts)
+    present = yield from drive.show(list(goals()))
+    yield from task_on(drive, 2 * SLOW_S).bring(goals(), present, starts=drive.restarts)
 
 
 def settles(drive: RawParameters) -> Steps[None]:
-    yield from DriveJob(drive, settle_s=0.1).settle_at(goals(), {}, retry_within_s=4 * SLOW_S)
+    yield from task_on(drive, 0.1).settle_at(goals(), retry_within_s=4 * SLOW_S)
 
 
 @pytest.mark.parametrize("steps", [proves, settles])
@@ -148,7 +149,7 @@ def test_a_drive_whose_boot_up_does_not_come_holds_up_no_other(make: Make) -> No
     def restarts_or_reads(drive: RawParameters) -> Steps[None]:
         if drive.name == f"X{SLOW}":
             yield from drive.restart()
-        yield from DriveJob(drive).show(list(goals()))
+        yield from drive.show(list(goals()))
         times[drive.name] = (clock.now_ns() - start_ns) * 1e-9
 
     errors = run_together(rig.drives, lambda drive: drive, restarts_or_reads)

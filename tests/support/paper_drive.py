@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 from drivers.drive import DriveState
 from drivers.errors import BridgeError
 from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 from drivers.raw_parameters import (
+    SETTLE_S,
     Access,
     DriveIdentity,
     Line,
@@ -21,6 +23,9 @@ from drivers.raw_parameters import (
     WireTime,
     no_observer,
 )
+from hil.parameters.journal import Journal
+from hil.parameters.set_file import ParameterSet
+from hil.parameters.transaction import DriveTask, Target
 from sim_backends.clock import SimClock
 
 IDENTITY = DriveIdentity("canopen", {"vendor_id": 0x1A}, {"firmware": "2"}, {"serial": 7})
@@ -54,6 +59,11 @@ def done(job: Steps[T], clock: SimClock) -> T:
     if isinstance(result, BridgeError):
         raise result
     return result
+
+
+def task_on(drive: RawParameters, settle_s: float = SETTLE_S) -> DriveTask:
+    """A task of this drive with nothing to write and no journal."""
+    return DriveTask(Target(drive, ParameterSet("nothing", None, ()), Journal(Path("nowhere"))), settle_s)
 
 
 class PaperDrive(RawParameters):
@@ -110,9 +120,6 @@ class PaperDrive(RawParameters):
     def to_raw(self, entry: RawParameter, data: bytes) -> RawForm:
         return int.from_bytes(data, "little")
 
-    def objection(self, entry: RawParameter, data: bytes) -> str | None:
-        return entry.refusal
-
     def rank(self, address: str) -> int:
         return self.ranks.get(address, 0)
 
@@ -154,7 +161,7 @@ class PaperDrive(RawParameters):
                 return self.held[address]
 
             found.append(self._access(address, act))
-            tell(1)
+            tell(found[-1:])
         return found
 
     def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
@@ -169,7 +176,7 @@ class PaperDrive(RawParameters):
                     self.held[address] = data
 
             found.append(self._access(address, act))
-            tell(1)
+            tell(found[-1:])
             if found[-1].error is not None:
                 break
         return found

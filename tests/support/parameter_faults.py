@@ -17,11 +17,13 @@ from support.parameter_rigs import ParameterRig, maker_keys, maker_set
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import EdsFile, load_eds
+from drivers.canopen.node import Node
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
-from hil.parameters.download import Target, download
-from hil.parameters.recover import Unfinished, recover
+from hil.parameters.download import download
+from hil.parameters.recover import recover
 from hil.parameters.report import Ending
+from hil.parameters.transaction import Target
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort
@@ -125,17 +127,19 @@ def one_run(
     at_last = None
     for death in deaths:
         with CanLink(DyingPort(rig.bench.wire, death), rig.bench.clock) as link, suppress(KilledError):
-            recover([Unfinished(_drive(link, eds), rig.journals[0])], forward=forward)
+            recover([(_drive(link, eds), rig.journals[0])], forward=forward)
     if rig.journals[0].unfinished() is not None:
         rig.bench.clock.sleep_s(OUTAGE_S)
         with CanLink(rig.bench.port(), rig.bench.clock) as link:
-            last = recover([Unfinished(_drive(link, eds), rig.journals[0])], forward=forward)[0]
+            last = recover([(_drive(link, eds), rig.journals[0])], forward=forward)[0]
             at_last, stored = last.ending, last.stored or stored
     return Run(said, at_last, _side(rig.values(KEYS)), _stored_side(flash), port.frames, tuple(port.times_ns), stored)
 
 
 def _drive(link: CanLink, eds: Path) -> CanOpenRawParameters:
-    return CanOpenRawParameters("X5", CanLine(link), 5, parsed(eds), timeout_s=TIMEOUT_S)
+    node = Node("X5", link, 5, parsed(eds))
+    node.open(TIMEOUT_S)
+    return CanOpenRawParameters(node, CanLine(link))
 
 
 def _side(values: list[int]) -> str:

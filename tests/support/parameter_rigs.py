@@ -8,7 +8,9 @@ from pathlib import Path
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import EdsFile, load_eds
-from drivers.canopen.raw_parameters import CanOpenRawParameters, address_of
+from drivers.canopen.known_objects import address_of
+from drivers.canopen.node import Node
+from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from hil.parameters.journal import Journal
 from hil.parameters.set_file import ParameterSet, SetEntry
@@ -90,17 +92,12 @@ class ParameterRig:
         self.stack = ExitStack()
         self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
         self.line = CanLine(self.link)
-        self.drives = [
-            CanOpenRawParameters(
-                f"X{node}",
-                self.line,
-                node,
-                file if file is not None else load_eds(eds, node),
-                timeout_s=timeout_s,
-                bitrate=bitrate or 1_000_000,
-            )
-            for node in nodes
+        self.nodes = [
+            Node(f"X{node}", self.link, node, file if file is not None else load_eds(eds, node)) for node in nodes
         ]
+        for node in self.nodes:
+            node.open(timeout_s)
+        self.drives = [CanOpenRawParameters(node, self.line, bitrate=bitrate or 1_000_000) for node in self.nodes]
         self.bench.clock.sleep_s(0.01)  # boot-up messages have been sent
         self.journals = [Journal(folder / f"X{node}") for node in nodes]
 

@@ -627,7 +627,7 @@ def test_a_drive_without_an_identity_has_the_units_of_its_makers_file(
     units = rig.opened().motion_scaling()
     assert units.velocity.text == (unit if silent else "counts/s")
     assert not units.ambiguous
-    raw = CanOpenRawParameters("X", CanLine(rig.link), NODE, rig.drive.node.eds, scaling=rig.drive.scaling)
+    raw = CanOpenRawParameters(rig.drive.node, CanLine(rig.link), scaling=rig.drive.scaling)
     raw.line.run([raw.identify()])
     parameter = raw.find("6099h:01")
     assert parameter is not None

@@ -7,6 +7,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
+from drivers.canopen.node import Node
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.side_by_side import CanLine
@@ -186,14 +187,16 @@ def test_speeds_and_ramps_among_the_parameters_are_in_the_drives_own_units(
     bench = CanBench((NODE,), parameters={(0x1018, 1): vendor})
     with CanLink(bench.port(), bench.clock) as link:
         line = CanLine(link)
-        raw = CanOpenRawParameters("X", line, NODE, None, scaling=AXIS, **stated)  # type: ignore[arg-type]
+        node = Node("X", link, NODE)
+        node.open()
+        raw = CanOpenRawParameters(node, line, scaling=AXIS, **stated)  # type: ignore[arg-type]
         (identity,) = line.run([raw.identify()])
         assert not isinstance(identity, BridgeError)
         found = {
             address: raw.unit_of(raw.entries[address]) for address in ("6099h:01", "6085h:00", "607Ch:00", "6098h:00")
         }
         assert found == {"6099h:01": speed, "6085h:00": ramp, "607Ch:00": "counts", "6098h:00": ""}
-        raw.close()
+        node.close()
         settings = CanOpenSettings(**stated)  # type: ignore[arg-type]
         with CanOpenDrive("X", AXIS, LIMITS, bench.clock, link=link, node_id=NODE, settings=settings) as drive:
             names = ("homing_speed_during_search_for_switch", "quick_stop_deceleration", "home_offset")
@@ -204,7 +207,9 @@ def test_without_the_axis_files_scaling_no_unit_of_speed_is_claimed() -> None:
     bench = CanBench((NODE,))
     with CanLink(bench.port(), bench.clock) as link:
         line = CanLine(link)
-        raw = CanOpenRawParameters("X", line, NODE, None)
+        node = Node("X", link, NODE)
+        node.open()
+        raw = CanOpenRawParameters(node, line)
         line.run([raw.identify()])
         assert [raw.unit_of(raw.entries[address]) for address in ("6099h:01", "6085h:00")] == ["", ""]
-        raw.close()
+        node.close()

@@ -337,10 +337,10 @@ def test_values_scale_and_are_held_to_their_limits(write: Write) -> None:
     assert register.encode(-40.0) == (0,)
     for value in (-40.1, 100.1):
         with pytest.raises(InputError, match=r"it cannot be .* °C, allowed is -40 to 100"):
-            register.encode(value)
+            register.raw_of(value)
     for value in (float("nan"), float("inf")):
         with pytest.raises(InputError, match="expected a finite number"):
-            register.encode(value)
+            register.raw_of(value)
 
 
 def test_integers_without_scale_stay_exact(write: Write) -> None:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.paper_drive import IDENTITY, PaperDrive, done
+from support.paper_drive import IDENTITY, PaperDrive, done, task_on
 
 from drivers.drive import DriveState
 from drivers.errors import AbortError, CapabilityError, InputError, LinkLostError, NoAnswerError, ProtocolError
@@ -16,25 +16,24 @@ from drivers.parameters import ParameterValue
 from drivers.raw_parameters import DriveIdentity, RawParameter, WireTime
 from hil.correction.store import BoundTables
 from hil.parameters.compare import Side, compare
-from hil.parameters.download import Target, download
+from hil.parameters.download import download
 from hil.parameters.journal import Download, Journal, Noted, Phase
 from hil.parameters.predict import predict, seconds_together
 from hil.parameters.preflight import match_set, objection_to_state, objections_to_identity
-from hil.parameters.recover import Unfinished, recover, set_after, set_before
+from hil.parameters.recover import recover, set_after, set_before
 from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
 from hil.parameters.restart import load_defaults, restart_drive
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
-from hil.parameters.transaction import DriveJob
+from hil.parameters.transaction import Target
 from hil.records.made_with import MadeWith
 
 REFUSED = AbortError("no", 0x06090030)
 
 
 def bring(drive: PaperDrive, starts: int = 0, prove_all: bool = False, **goals: int) -> list[str]:
-    job = DriveJob(drive)
     present = dict(drive.held)
-    return done(job.bring(drive.bytes_of(**goals), present, {}, starts=starts, prove_all=prove_all), drive.clock)
+    return done(task_on(drive).bring(drive.bytes_of(**goals), present, starts=starts, prove_all=prove_all), drive.clock)
 
 
 def fails_once(error: Exception, at: str) -> Callable[[str], None]:
@@ -176,16 +175,16 @@ def test_limits_change_in_an_order_in_which_they_never_cross() -> None:
 
 def test_the_longest_answer_of_each_address_is_kept() -> None:
     drive = PaperDrive(a=1, b=2)
-    job = DriveJob(drive)
+    job = task_on(drive)
     slow_one = [0.05]
     drive.on_read = lambda address: drive.clock.sleep_s(slow_one.pop()) if address == "a" and slow_one else None
-    done(job.show(["a", "b"]), drive.clock)
-    done(job.show(["a", "b"]), drive.clock)
-    assert job.latencies.read_s == pytest.approx({"a": 0.051, "b": 0.001})
-    assert job.latencies.write_s == {}
+    done(drive.show(["a", "b"], job.done), drive.clock)
+    done(drive.show(["a", "b"], job.done), drive.clock)
+    assert job.read_s == pytest.approx({"a": 0.051, "b": 0.001})
+    assert job.write_s == {}
     drive.on_read = fails_once(REFUSED, "b")
     with pytest.raises(AbortError):
-        done(job.show(["a", "b"]), drive.clock)
+        done(drive.show(["a", "b"], job.done), drive.clock)
 
 
 def test_putting_back_is_tried_for_three_seconds_with_longer_and_longer_pauses() -> None:
@@ -196,7 +195,7 @@ def test_putting_back_is_tried_for_three_seconds_with_longer_and_longer_pauses()
 
     drive.on_read = silent
     with pytest.raises(NoAnswerError):
-        done(DriveJob(drive).settle_at(drive.bytes_of(a=5), {}), drive.clock)
+        done(task_on(drive).settle_at(drive.bytes_of(a=5)), drive.clock)
     # after pauses of 20 40 80 … 1280 ms, 2.54 s, one more, of 2.56 s
     assert drive.log == ["r a"] * 9
     assert drive.clock.now_ns() * 1e-9 == pytest.approx(5.1 + 9 * 0.001)
@@ -206,7 +205,7 @@ def test_putting_back_is_tried_for_three_seconds_with_longer_and_longer_pauses()
 def test_putting_back_goes_on_after_one_failure(error: Exception) -> None:
     drive = PaperDrive(a=1, b=2)
     drive.on_read = fails_once(error, "b")
-    assert done(DriveJob(drive).settle_at(drive.bytes_of(a=5, b=2), {}), drive.clock) == ["a"]
+    assert done(task_on(drive).settle_at(drive.bytes_of(a=5, b=2)), drive.clock) == ["a"]
     assert drive.log == ["r a", "r b", "r a", "r b", "w a 5", "r a", "r b"]  # everything is read back at the end
 
 
@@ -215,7 +214,7 @@ def test_putting_back_ends_where_our_own_line_is_lost() -> None:
     drive.lost = True
     drive.on_read = fails_once(LinkLostError("our adapter"), "a")
     with pytest.raises(LinkLostError):
-        done(DriveJob(drive).settle_at(drive.bytes_of(a=5), {}), drive.clock)
+        done(task_on(drive).settle_at(drive.bytes_of(a=5)), drive.clock)
     assert drive.log == ["r a"]
 
 
@@ -226,7 +225,7 @@ def test_a_start_while_it_is_put_back_means_once_more() -> None:
         drive.starts += drive.starts == 0
 
     drive.on_write = starts_once
-    assert done(DriveJob(drive).settle_at(drive.bytes_of(a=5, b=2), {}), drive.clock) == []
+    assert done(task_on(drive).settle_at(drive.bytes_of(a=5, b=2)), drive.clock) == []
     assert drive.log == ["r a", "r b", "w a 5", "r a", "r b", "r a", "r b", "r a", "r b"]
 
 
@@ -546,7 +545,7 @@ def test_going_on_in_either_direction(
     drive = PaperDrive(a=held[0], b=held[1])
     stages: set[str] = set()
     progress = lambda stage, *_: stages.add(stage)  # noqa: E731
-    report = recover([Unfinished(drive, journal)], forward=forward, progress=progress)[0]
+    report = recover([(drive, journal)], forward=forward, progress=progress)[0]
     assert stages == {"resume" if forward else "put back"}
     assert (drive.number("a"), drive.number("b")) == ((5, 6) if forward else (1, 2))
     assert report.ending is (Ending.WRITTEN if forward else Ending.PUT_BACK)
@@ -558,22 +557,22 @@ def test_going_on_in_either_direction(
     going = [Phase.PROVEN] if forward else [Phase.GOING_BACK]
     storing = [Phase.STORING, Phase.STORED] if stores else []
     assert phases(tmp_path) == [phase.name for phase in (Phase.BEGIN, *notes, *going, *storing, Phase.END)]
-    assert recover([Unfinished(drive, journal)], forward=forward) == []
+    assert recover([(drive, journal)], forward=forward) == []
 
 
 def test_going_on_is_for_the_very_drive_and_without_power(tmp_path: Path) -> None:
     journal = begun(tmp_path)
     other = PaperDrive(a=1, b=2)
     other.identity = replace(IDENTITY, unit={"serial": 8})
-    report = recover([Unfinished(other, journal)], forward=True)[0]
+    report = recover([(other, journal)], forward=True)[0]
     assert (report.ending, other.number("a")) == (Ending.UNFINISHED, 1)
     assert "is not as the download left it" in report.error
     powered = PaperDrive(a=1, b=2)
     powered.shown_state = DriveState.ENABLED
-    assert recover([Unfinished(powered, journal)], forward=True)[0].ending is Ending.UNFINISHED
+    assert recover([(powered, journal)], forward=True)[0].ending is Ending.UNFINISHED
     assert powered.number("a") == 1
     with pytest.raises(InputError, match="begun with b"):
-        recover([Unfinished(PaperDrive(a=1), journal)], forward=True)
+        recover([(PaperDrive(a=1), journal)], forward=True)
 
 
 def test_both_sides_of_a_download_as_sets(tmp_path: Path) -> None:
