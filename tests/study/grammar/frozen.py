@@ -141,7 +141,6 @@ were looked at while the diagnosis was made, and prove nothing.
 ## What was said
 
 A lot is a kind of machine. "From" and "to" are Wilson's interval at 95 %. "Wrong" is a wrong name with a confidence above 0.9.
-"Before" is the number that the diagnosis before this one had right, of the machines that both judged.
 """
 
 
@@ -157,17 +156,14 @@ def summary(outcomes: Sequence[Outcome]) -> list[str]:
     return lines
 
 
-def _lot(lot: str, own: Sequence[Outcome], before: Sequence[Outcome]) -> str:
-    """The row of a lot: shares in %, then the count of the engine before and of this one on the machines of both."""
+def _lot(lot: str, own: Sequence[Outcome]) -> str:
+    """The row of a lot: shares in %."""
     found = {name: share([hit(one) for one in own]) for name, hit in FIGURES.items()}
     low, high = found["right"]["wilson_95"]
     worst = found["wrong above 0.9"]["wilson_95"][1]
     percent = [found["right"]["share"], low, high, found["wrong above 0.9"]["share"], worst]
     percent += [found[name]["share"] for name in ("unexplained", "silent")]
-    old = {one["seed"]: one for one in before}
-    both = [(old[one["seed"]], one) for one in own if one["seed"] in old]
-    counts = [len(both), *(sum(map(asked, side)) for side in zip(*both, strict=True))]
-    return " | ".join([f"| {lot} | {len(own)}", *(f"{100 * one:.0f}" for one in percent), *map(str, counts)]) + " |"
+    return " | ".join([f"| {lot} | {len(own)}", *(f"{100 * one:.0f}" for one in percent)]) + " |"
 
 
 def _fresh(lot: str, own: Sequence[Outcome]) -> str:
@@ -185,16 +181,14 @@ def _runs_asked(outcomes: Sequence[Asked]) -> list[str]:
 
 def page() -> str:
     """`diagnosis_lots.md`."""
-    now, before = (
-        [one for one in read(OUTCOMES / f"{name}.jsonl") if "error" not in one] for name in ("model", "search")
-    )
-    lots = {lot: [[one for one in side if one["lot"] == lot] for side in (now, before)] for lot in LOTS}
-    columns = "Lot | machines | right, % | from | to | wrong, % | to | unexplained, % | silent, % | of both | right before | right now"
+    good = [one for one in read(OUTCOMES / "model.jsonl") if "error" not in one]
+    lots = {lot: [one for one in good if one["lot"] == lot] for lot in LOTS}
+    columns = "Lot | machines | right, % | from | to | wrong, % | to | unexplained, % | silent, %"
     lines = [HEAD, f"| {columns} |", "|---|" + "---:|" * columns.count("|")]
-    lines += [_lot(lot, *sides) for lot, sides in lots.items()]
+    lines += [_lot(lot, own) for lot, own in lots.items()]
     lines += ["", "## What is left", "", "RMS on fresh rows, divided by what the true model leaves on them.", ""]
     lines += ["| Lot | machines | median | 90 % below | worst |", "|---|---:|---:|---:|---:|"]
-    lines += [_fresh(lot, own) for lot, (own, _) in lots.items()]
+    lines += [_fresh(lot, own) for lot, own in lots.items()]
     return "\n".join([*lines, "", *_runs_asked(of_json(OUTCOMES / "next.jsonl"))])
 
 
