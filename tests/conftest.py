@@ -4,6 +4,7 @@ import gc
 import os
 import signal
 import socket
+import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -53,6 +54,8 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if hasattr(config, "workerinput"):
         gc.disable()  # until all tests are collected
+        # pytest keeps the tests with their assertions rewritten, which take each worker 16 s, where Python may keep its own
+        sys.dont_write_bytecode = False
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
@@ -72,10 +75,12 @@ OUTSIDE = {"guest", "browser", "linuxcnc", "vcan"}
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Benchmarks run alone or not at all; the guest starts first, it takes longest, and has what needs SocketCAN."""
+    paths = {item.path for item in items}
+    benchmarks = {path for path in paths if BENCH in path.parents}
     elsewhere = None if vcan_here() else pytest.mark.skip(reason="runs in the guest (test_vcan_guest.py)")
     for item in items:
         names = {marker.name for marker in item.iter_markers()}
-        if names & OUTSIDE or BENCH in item.path.parents:
+        if names & OUTSIDE or item.path in benchmarks:
             item.add_marker("outside")
         if "vcan" in names and elsewhere is not None:
             item.add_marker(elsewhere)
@@ -92,6 +97,7 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         gc.collect()
         gc.freeze()
         gc.enable()
+        sys.dont_write_bytecode = bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -124,7 +130,7 @@ def quick_flush(request: pytest.FixtureRequest) -> Iterator[None]:
     Tests of what is flushed when put their own in place; processes that tests start flush, and so do the benchmarks.
     """
     with pytest.MonkeyPatch.context() as patch:
-        if not any(BENCH in item.path.parents for item in request.session.items):
+        if not any(BENCH in path.parents for path in {item.path for item in request.session.items}):
             patch.setattr(os, "fsync", lambda _handle: None)
         yield
 
