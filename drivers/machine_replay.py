@@ -60,7 +60,7 @@ class MachineReplay:
     def order(self, kind: int, position_mm: float) -> None:
         """Go on to the next stretch (position in mm); returns once the order had been taken. Raises StateError for another order."""
         if self._stretch + 2 >= len(self._starts):
-            raise StateError("the recording ends here: no order comes after the last one")
+            raise StateError("the recording ends here, expected no further command")
         row = self._starts[self._stretch + 1]
         was_kind, was_mm = self.columns["kind"][row], self.columns["ordered_mm"][row]
         if was_kind != kind or not (kind == HOME or abs(was_mm - position_mm) <= SAME_MM):

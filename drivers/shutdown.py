@@ -218,7 +218,7 @@ class StoppableDrive(ServoDrive):
         self._left = Left.OFF
         if not at_rest:
             raise MotionTimeoutError(
-                f"drive {self.name}: no standstill was shown in time; quick-stopped and disabled all the same"
+                f"drive {self.name}: standstill was not shown in time; it was quick-stopped and disabled nevertheless"
             )
 
     def _rests(self) -> Callable[[], bool]:

@@ -66,7 +66,7 @@ class PowerStage:
     def write(self, controlword: int) -> None:
         """Write 6040h and keep it. Raises StateError for a command that enables after a stop was sent, and as `ObjectAccess.write`."""
         if self.stopped and controlword & RUN == RUN:
-            raise StateError(f"{self._name} was told to stop; it takes orders again once it is enabled anew")
+            raise StateError(f"{self._name} was told to stop: enable it before the next command")
         self._access.write(CONTROLWORD, controlword)
         self.controlword, self._written_ns = controlword, self._clock.now_ns()
 

@@ -79,4 +79,4 @@ class SerialLink:
         except (serial.SerialException, OSError) as error:
             raise LinkLostError(f"port {self.port} is gone: {error}") from error
         if taken != len(data):
-            raise LinkLostError(f"port {self.port} takes no bytes")
+            raise LinkLostError(f"port {self.port} accepts no bytes")

@@ -118,7 +118,7 @@ class Orders:
                 if self.stopped:  # by another thread meanwhile: the order may have come after the stop
                     self._post_stop()
         if self.stopped:
-            raise StateError(f"drive {self._name} was told to stop; it takes orders again once it is enabled anew")
+            raise StateError(f"drive {self._name} was told to stop: enable it before the next command")
 
     def start(self, writes: Sequence[Write], what: str, timeout_s: float, taken: Evidence = lambda: False) -> None:
         """Start a motion. Where a start bit went unanswered and cannot be read back, `taken` decides. Raises NoAnswerError."""

@@ -277,7 +277,7 @@ class SerialPort(Port):
             if not frame:
                 return
             time.sleep(slice_s)
-        raise TimeoutError("the port takes no bytes")
+        raise TimeoutError("the port accepts no bytes")
 
     def receive(self, within: Listening) -> bytes:
         port = self._opened()

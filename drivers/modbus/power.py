@@ -54,7 +54,9 @@ class PowerStates:
             if DriveState.ENABLED in transition.targets:
                 before_power()
             self._walk(transition, "enable")
-        raise ProtocolError(f"drive {self._unit.name}: enabling goes round in circles, it is {self.state().value}")
+        raise ProtocolError(
+            f"drive {self._unit.name}: enabling led back to an earlier state, it is {self.state().value}"
+        )
 
     def disable(self, state: DriveState) -> None:
         """Take the power off from this state, of an axis at rest. Raises StateError, MotionTimeoutError."""

@@ -163,7 +163,7 @@ def refuse_twice(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, amount
     amount: to be written, in the parameter's unit, None while it is not measured; the one that the tables were made with is right.
     Raises what reading the store's header and the parameter raise.
     """
-    refuse_while_drive_corrects(drive, "with a backlash amount the reversal would be taken out twice")
+    refuse_while_drive_corrects(drive, "with a backlash amount the reversal would be corrected twice")
     tables = None if how.parameter is None else bound_tables(axis)
     if tables is None or how.parameter is None or tables.corrects_reversal is False:
         return
@@ -172,11 +172,13 @@ def refuse_twice(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive, amount
     if amount is not None and same(amount, made_with):
         return
     known = (
-        "take the reversal out already" if tables.corrects_reversal else "do not say that they leave the reversal in"
+        "correct the reversal already"
+        if tables.corrects_reversal
+        else "do not say that they leave the reversal uncorrected"
     )
     raise StateError(
-        f"axis {axis.name}: {how.parameter} is not written, as the tables in {axis.tables_path} {known}, and it would be taken out"
-        f" twice; take them out of force first (hil calibrate {axis.path} --withdraw), write, and calibrate anew"
+        f"axis {axis.name}: {how.parameter} is not written, as the tables in {axis.tables_path} {known}, and it would be corrected"
+        f" twice; take them out of force first (hil calibrate {axis.path} --withdraw), write, and calibrate again"
     )
 
 

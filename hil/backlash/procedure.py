@@ -54,7 +54,7 @@ def check_drive(drive: ServoDrive, how: BacklashConfig) -> None:
     if how.home and not sample.homed:
         drive.require(Capability.HOMING)
     if sample.torque_percent is None:
-        raise CapabilityError(f"drive {drive.name} does not tell its torque, and backlash is measured by torque")
+        raise CapabilityError(f"drive {drive.name} does not report its torque, and backlash is measured by torque")
     check_reach(
         drive, *(place(each) for each in how.directions for place in (how.start_mm, how.turning_mm, how.end_mm))
     )
@@ -192,7 +192,7 @@ class _Measurement:
         def look(sample: DriveSample) -> None:
             nonlocal shown
             if sample.torque_percent is None:
-                raise CapabilityError("the drive no longer tells its torque")
+                raise CapabilityError("the drive no longer reports its torque")
             recording.position_load_mm.append(sample.position_load_mm)
             recording.torque_percent.append([sample.torque_percent])
             travelled_um = abs(sample.position_load_mm - recording.position_load_mm[0]) * 1000.0
@@ -234,7 +234,7 @@ class _Measurement:
             with supervisor.stopping_on_error():
                 sample = axis.look_enabled("reading the torque")
             if sample.torque_percent is None:
-                raise CapabilityError(f"drive {axis.drive.name} no longer tells its torque")
+                raise CapabilityError(f"drive {axis.drive.name} no longer reports its torque")
             torques.append(sample.torque_percent)
             if len(torques) == self.how.readings:
                 return sample.position_load_mm, torques

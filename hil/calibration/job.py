@@ -183,7 +183,7 @@ def with_signs(axis: AxisConfig, signs: Sequence[SignedSections]) -> AxisConfig:
     correction, signs = axis.correction, tuple(signs)
     if correction.band is None:
         if signs:
-            raise InputError("states no band_um, whose signs they would be", path=axis.path)
+            raise InputError("has signs without a band_um", path=axis.path)
         return axis
     band = replace(correction.band, signs=signs)
     return replace(axis, correction=replace(correction, band=band, signs=signs))
@@ -264,7 +264,7 @@ def beside_stored(
             why = "the stored tables hold pitch and specified accuracy in one, whose directions could not be told from a backlash"
         if why:
             raise StateError(
-                f"{store.path}: {why}; calibrate anew with the backlash (hil calibrate {axis.path} --backlash)"
+                f"{store.path}: {why}; calibrate again with the backlash (hil calibrate {axis.path} --backlash)"
             )
         entered = replace(present, tables=present.tables.with_backlash(backlash))
     return entered

@@ -275,7 +275,7 @@ class SealedStore:
             return found.warning(f"{self.path}: ")
         return (
             f"{self.path}: states no zero of axis {self.axis}, its tables were made before, or without, one: that the axis is in the"
-            " same cannot be shown (calibrate anew to bind them)"
+            " same cannot be shown (calibrate again to bind them)"
         )
 
     def withdraw(self) -> BoundTables:
@@ -370,7 +370,7 @@ class BoundTables:
             return None
         return (
             f"{where}does not state which parameters the drive of axis {self.axis} had when its tables were made: that it has the same"
-            " cannot be shown (calibrate anew to bind them)"
+            " cannot be shown (calibrate again to bind them)"
         )
 
 

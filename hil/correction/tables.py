@@ -680,9 +680,11 @@ def split_specified(tables: TableSet, straightness_share: float) -> TableSet:
     if not 0.0 <= straightness_share <= 1.0:
         raise InputError(f"straightness share is {straightness_share}, expected 0 to 1")
     if tables.specified is None:
-        raise InputError("there is no specified-accuracy correction to share out")
+        raise InputError("straightness_share needs a specified accuracy (band_um)")
     if tables.straightness_axis:
-        raise InputError(f"the straightness table corrects axis {tables.straightness_axis}, it cannot take a share")
+        raise InputError(
+            f"the straightness table corrects axis {tables.straightness_axis}, so it cannot take a share of the specified accuracy"
+        )
     part_straightness = tables.specified.scaled(straightness_share)
     part_pitch = tables.specified.scaled(1.0 - straightness_share)
     straightness = part_straightness if tables.straightness is None else tables.straightness.plus(part_straightness)

@@ -100,5 +100,5 @@ class Control:
     def require(self, token: str | None) -> None:
         """Raises NotInControlError unless this token is the one in force. Counts as a message from the holder."""
         if not self.holds(token):
-            raise NotInControlError("somebody else holds control of the axis, or nobody: take it first")
+            raise NotInControlError("this browser does not have control of the axis: take control first")
         self.sign_of_life(token)

@@ -42,7 +42,7 @@ def fit_model(records: Records, effects: Sequence[Effect] = ()) -> Model:
             if best is None:
                 names = ", ".join(sorted(missing))
                 raise InputError(
-                    f"these records cannot show {names}: a column is missing or does not vary, or the table holds it"
+                    f"these records cannot show {names}: a column is missing or does not vary, or the table contains it"
                 )
             parts.append(best.part)
             missing.remove(best.part.name)

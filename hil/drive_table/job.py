@@ -207,7 +207,7 @@ def _made_with(axis: AxisConfig, drive: ServoDrive, compensation: Compensation) 
     if compensation.made_with is None and reversal and amounts:
         raise MadeWithError(
             f"axis {axis.name}: its tables do not state which parameters the drive had, and with {', '.join(amounts)} ="
-            f" {', '.join(f'{value:g}' for value in amounts.values())} the reversal may be taken out twice: calibrate anew"
+            f" {', '.join(f'{value:g}' for value in amounts.values())} the reversal may be corrected twice: calibrate again"
             f" (hil calibrate {axis.path}), or set it to 0"
         )
     return now

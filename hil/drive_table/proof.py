@@ -225,7 +225,7 @@ def prove_by_drive(
     drive = supervisor.axes[0].drive
     table = held_table(drive)
     if not table.description.shows_applied:
-        raise CapabilityError(f"drive {drive.name} does not tell what it adds; prove it by the instrument")
+        raise CapabilityError(f"drive {drive.name} does not report what it adds: prove it by the instrument")
     curve = DriveCurve(table.description, table.read(), drive.scaling)
     was_on = table.enabled()
     places: list[PositionDifference] = []

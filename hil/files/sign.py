@@ -30,11 +30,11 @@ def run(args: argparse.Namespace) -> int:
     """Sign, or make a key pair; exit status 0. Raises InputError for wrong arguments, SealedError for a file that is refused."""
     if args.new_key is not None:
         if args.file or args.key or args.builder or args.accept:
-            raise InputError("--new-key stands alone: sign with the new key in a second step")
+            raise InputError("--new-key takes no FILE or other option: sign with the new key in a second command")
         result = _new_pair(args)
     elif args.accept is not None:
         if args.file or args.key or args.builder:
-            raise InputError("--accept stands alone: file and key are those of the axis file")
+            raise InputError("--accept takes no FILE, --key or --builder: it uses those of the axis file")
         result = _accept(args)
     else:
         if not args.file or not args.key:

@@ -125,6 +125,8 @@ def _while_alive(
                 lost.append(task)
                 continue
             except CancelledError as error:
-                raise StateError("the scheduler went away; what was done is kept, the same command goes on") from error
+                raise StateError(
+                    "the connection to the scheduler was lost; finished work is kept, and the same command continues"
+                ) from error
             yield task, result
     lost += waiting

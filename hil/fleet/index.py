@@ -273,9 +273,9 @@ def state_of(index: Path) -> State:
         found = State(str(form["of"]), form["complete"] is True, unread)
         version = form["format"]
     except (ValueError, KeyError, TypeError) as error:
-        raise InputError("is no state of an index, make the index anew", path=path) from error
+        raise InputError("is not the state of an index: build the index again", path=path) from error
     if version != FORMAT:
-        raise InputError(f"is of format {version}, expected {FORMAT}: make it anew with --again", path=path)
+        raise InputError(f"is of format {version}, expected {FORMAT}: build it again with --again", path=path)
     return found
 
 
@@ -287,7 +287,7 @@ def read_table(index: Path, name: str, columns: Sequence[str] | None = None) -> 
         try:
             tables.append(_table(part, name, None if columns is None else list(columns)))
         except (OSError, pa.ArrowException) as error:
-            raise InputError("cannot be read, make the index anew", path=part / f"{name}.parquet") from error
+            raise InputError("cannot be read: build the index again", path=part / f"{name}.parquet") from error
     if not tables:
         table = SCHEMAS[name].empty_table()
         return table if columns is None else table.select(list(columns))

@@ -10,7 +10,7 @@ from drivers.correction_table import CorrectionTable
 from drivers.drive import ServoDrive
 from drivers.errors import StateError
 
-TWICE = "with the bridge's correction the error would be taken out twice"
+TWICE = "with the bridge's correction the error would be corrected twice"
 
 
 def refuse_while_drive_corrects(drive: ServoDrive, because: str = TWICE) -> None:
@@ -28,6 +28,6 @@ def switch_table(drive: ServoDrive, table: CorrectionTable, on: bool) -> None:
     if on and drive.corrected_outside:
         raise StateError(
             f"drive {drive.name}: the bridge's correction is in force, and with {table.description.name} switched on the error"
-            " would be taken out twice; take the bridge's out first"
+            " would be corrected twice; take the bridge's out first"
         )
     table.switch(on)

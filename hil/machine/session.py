@@ -177,7 +177,7 @@ class AxisSession:
     def compensation(self) -> Compensation | None:
         """The bridge's correction; None leaves commands as they are.
 
-        Setting it raises StateError while the drive corrects by a table of its own (the error would be taken out twice), ZeroError for
+        Setting it raises StateError while the drive corrects by a table of its own (the error would be corrected twice), ZeroError for
         tables of another zero, MadeWithError for tables made with other parameters of the drive, and CorrectionBoundError for a
         correction beyond the axis's bound. The drive's table is also checked before each move. A straightness table that moves
         another axis needs that axis connected and ready (StateError), and is held against its bound and travel too

@@ -62,7 +62,7 @@ def download(
         raise
     for work in changing:
         if work.drive.restarts != work.starts:
-            work.fail(LinkLostError(f"drive {work.drive.name} started anew before all of it was proven"))
+            work.fail(LinkLostError(f"drive {work.drive.name} restarted before all of it was proven"))
     if any(work.error for work in changing):
         stage(changing, "put back", lambda work: len(work.old), put_back, progress)
         for work in works:
@@ -135,7 +135,7 @@ def snapshot(work: DriveTask) -> Steps[None]:
             name = work.parameters[access.address].info.name
             work.objections.append(Objection(access.address, name, f"cannot be read: {ended_in(access.error)}"))
     if work.drive.restarts != work.starts:
-        raise LinkLostError(f"drive {work.drive.name} started anew while it was read")
+        raise LinkLostError(f"drive {work.drive.name} restarted while it was read")
 
 
 def _begin(works: Sequence[DriveTask], store: bool) -> None:

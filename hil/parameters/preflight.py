@@ -237,7 +237,7 @@ def objections_to_reversal(
                     each.parameter.info.name,
                     f"would be {value:g}, the stored tables of axis {tables.axis} were made with {was:g} and would take the reversal"
                     " out a second time; leave it out of the set, or take the tables out of force first (hil calibrate --withdraw) and"
-                    " calibrate anew",
+                    " calibrate again",
                 )
             )
     return objections
@@ -252,6 +252,6 @@ def notes_of_units(drive: RawParameters, tables: BoundTables, wanted: Sequence[W
         if was is not None and isinstance(value, int | float) and not same(was, value):
             notes.append(
                 f"{each.address} {each.parameter.info.name}: the stored tables of axis {tables.axis} were made with {was:g} and are"
-                f" refused with {value:g}: calibrate anew"
+                f" refused with {value:g}: calibrate again"
             )
     return notes

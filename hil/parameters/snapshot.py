@@ -60,7 +60,7 @@ def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> St
     errors = [access.error for access in accesses]
     _refuse_silence(errors)
     if drive.restarts != starts:
-        backup.error = f"drive {drive.name} started anew while it was read"
+        backup.error = f"drive {drive.name} restarted while it was read"
         return
     shown = {access.address: access.data for access in accesses if access.data is not None}
     backup.unreadable = {access.address: ended_in(access.error) for access in accesses if access.error is not None}

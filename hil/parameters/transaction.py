@@ -141,7 +141,7 @@ class DriveTask:
         proven = goals if prove_all else {address: goals[address] for address in ordered}
         yield from drive.prove(proven, self.done, self.settle_s)
         if drive.restarts != starts:
-            raise LinkLostError(f"drive {drive.name} started anew meanwhile")
+            raise LinkLostError(f"drive {drive.name} restarted meanwhile")
         return ordered
 
     def _ordered(
@@ -239,7 +239,9 @@ def in_order(
         sorter.prepare()
     except CycleError as error:
         circle = " and ".join(sorted(set(error.args[1])))
-        raise InputError(f"{circle} are to be written after each other, expected an order without a circle") from None
+        raise InputError(
+            f"{circle} each have to be written after the other, expected an order without a cycle"
+        ) from None
     free: list[str] = []
     ordered: list[str] = []
     while sorter.is_active():

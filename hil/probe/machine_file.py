@@ -375,7 +375,9 @@ class ProbeMachineConfig:
     def require_codes(self) -> str:
         """Name of the axis whose drive, or bus, has the control's wires. Raises InputError where no control is wired."""
         if self.codes.drive is None:
-            raise InputError("lacks [codes] drive, expected whose inputs carry the control's codes", path=self.path)
+            raise InputError(
+                "lacks [codes] drive, expected the drive whose inputs carry the control's codes", path=self.path
+            )
         return self.codes.drive
 
     def require_bore(self) -> BoreConfig:

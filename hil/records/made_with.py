@@ -134,5 +134,5 @@ class MadeWithKeeper:
         if differing:
             raise MadeWithError(
                 f"axis {self.axis}: the drive no longer has the parameters that its tables were made with ({', '.join(differing)}),"
-                f" and would correct otherwise than they expect: set them back, or calibrate anew (hil calibrate {self.axis_file})"
+                f" so that the tables are wrong for it: set them back, or calibrate again (hil calibrate {self.axis_file})"
             )

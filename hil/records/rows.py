@@ -223,7 +223,7 @@ def refuse_other_units(records: Records) -> None:
         for name in filter(column.fullmatch, records.columns):
             known = records[name][np.isfinite(records[name])]
             if len(known) and least <= float(np.mean(known)) <= most:
-                raise InputError(f"{name} is {np.mean(known):.5g} in the mean, expected {unit}: it looks like {other}")
+                raise InputError(f"{name} has a mean of {np.mean(known):.5g}, expected {unit}: it looks like {other}")
 
 
 def repeats(position_mm: Floats, value_um: Floats) -> bool:

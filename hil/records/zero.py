@@ -280,7 +280,7 @@ class ZeroKeeper:
             if zero is not None and (known is None or zero.id != known.id):
                 other = "another is being made" if known is None else f"it has {known.describe()} now"
                 raise ZeroError(
-                    f"axis {self.axis}: {what} in another zero ({zero.describe()}), {other}: calibrate anew"
+                    f"axis {self.axis}: {what} in another zero ({zero.describe()}), {other}: calibrate again"
                     f" (hil calibrate {self._file})"
                 )
         return known

@@ -282,7 +282,7 @@ def loop(common: Common, before: NamedCampaign, after: NamedCampaign, diagnosis:
         return plots.before_after_plot((before, after), theme, None, ground)
 
     if np.array_equal(before.records.measured_mm, after.records.measured_mm):
-        raise InputError(f"{before.label} and {after.label} hold the same rows: nothing was measured anew")
+        raise InputError(f"{before.label} and {after.label} hold the same rows: nothing was measured again")
     for one in (before, after):
         if (at := _at(common, one)) in (At.CALIBRATED, At.MIXED):
             raise InputError(

@@ -531,7 +531,7 @@ class Axis:
     @contextmanager
     def _job(self) -> Iterator[None]:
         if self._moves is not None:
-            raise StateError(f"axis {self.name} carries out a procedure, and no other job meanwhile")
+            raise StateError(f"axis {self.name} is carrying out a procedure: no other job can run meanwhile")
         one_job: AbstractContextManager[object] = self._require().one_job()
         self._homed, self._last = False, None
         with one_job:

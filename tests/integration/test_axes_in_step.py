@@ -102,7 +102,7 @@ def test_what_a_drive_cannot_do_is_said_before_anything_moves(tmp_path: Path) ->
         assert isinstance(drive, VirtualDrive)
         with pytest.raises(LimitError, match="with its run-in"):
             check_axes(sessions, Circle((120.0, 5.0)), 0.004)
-        with pytest.raises(InputError, match="no period for this circle"):
+        with pytest.raises(InputError, match="expected more than 0 and at most a tenth of radius over feed"):
             check_axes(sessions, Circle((120.0, 120.0)), 2.0)
         drive.settings.missing = frozenset({Capability.STREAMING})
         with pytest.raises(CapabilityError, match="drive Y cannot do: cyclic synchronous position"):

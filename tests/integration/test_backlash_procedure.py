@@ -312,7 +312,7 @@ def test_what_the_drive_cannot_do_is_said_before_anything_is_written(rig: Rig, m
 def test_a_torque_that_is_never_told(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     told = rig.drive.sample
     monkeypatch.setattr(rig.drive, "sample", lambda: replace(told(), torque_percent=None))
-    with pytest.raises(CapabilityError, match="does not tell its torque"):
+    with pytest.raises(CapabilityError, match="does not report its torque"):
         rig.measure()
     assert rig.amount.writes == []
 

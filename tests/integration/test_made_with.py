@@ -137,7 +137,7 @@ def test_a_backlash_amount_is_not_written_beside_tables_that_take_the_reversal_o
     (line,) = capsys.readouterr().err.splitlines()
     assert "is not written, as the tables in" in line
     assert (
-        f"taken out twice; take them out of force first (hil calibrate {path} --withdraw), write, and calibrate anew"
+        f"corrected twice; take them out of force first (hil calibrate {path} --withdraw), write, and calibrate again"
         in line
     )
     assert not list(axis.store.directory.glob("backlash-*")), "it was measured"
@@ -169,7 +169,7 @@ def test_only_the_amount_that_tables_were_made_with_is_written_at_the_desk(tmp_p
         backlash.refuse_twice(axis, how, drive, 1200.0)
         for amount in (0.0, 1199.0, None):
             with pytest.raises(
-                Exception, match=r"2201h is not written, as the tables in .* take the reversal out already"
+                Exception, match=r"2201h is not written, as the tables in .* correct the reversal already"
             ):
                 backlash.refuse_twice(axis, how, drive, amount)
 
@@ -189,7 +189,10 @@ def test_tables_of_before_do_not_let_an_amount_be_written(tmp_path: Path) -> Non
     axis.tables_path.write_bytes(
         reseal(data, entries, READING, ours.builder_key, bound_to={"axes": {"X": {"zero": None}}})
     )
-    with connected_drive(axis) as drive, pytest.raises(StateError, match="do not say that they leave the reversal in"):
+    with (
+        connected_drive(axis) as drive,
+        pytest.raises(StateError, match="do not say that they leave the reversal uncorrected"),
+    ):
         backlash.refuse_twice(axis, backlash.backlash_config(axis), drive)
 
 
@@ -242,7 +245,7 @@ def test_a_download_that_takes_the_reversal_out_twice_is_refused(
     status, said = download(gear, 2)
     assert status == 0
     assert f"{gear} " in said
-    assert "were made with 1 and are refused with 2: calibrate anew" in said
+    assert "were made with 1 and are refused with 2: calibrate again" in said
     store(axis, 0.0, MadeWith({}, {amount: 700.0}))
     assert download(amount, 1200)[0] == 0, "tables that leave the reversal in"
 

@@ -559,7 +559,7 @@ def test_an_axis_not_seen_at_rest_is_quick_stopped_and_disabled_all_the_same() -
     with rig(CIA402) as r, r.drive as drive:
         drive.enable()
         unsteady(r, 2000)
-        with pytest.raises(MotionTimeoutError, match="quick-stopped and disabled all the same"):
+        with pytest.raises(MotionTimeoutError, match="quick-stopped and disabled nevertheless"):
             drive.disable()
         assert not r.servo.powered
         assert stops(r) >= 1

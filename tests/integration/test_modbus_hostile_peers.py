@@ -451,7 +451,7 @@ def test_a_port_that_takes_no_bytes_is_lost_in_time() -> None:
                     os.write(slave, bytes(4096))
             time.sleep(0.01)
         started_s = time.monotonic()
-        with pytest.raises(LinkLostError, match="takes no bytes"):
+        with pytest.raises(LinkLostError, match="accepts no bytes"):
             wire.exchange(1, Request.read(HOLDING, Span(0, 1)))
         assert time.monotonic() - started_s < TIMEOUT_S + ROOM_S
         wire.disconnect()

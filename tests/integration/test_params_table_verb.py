@@ -147,7 +147,7 @@ def test_by_the_instrument_from_end_to_end(
     assert found["share"] == pytest.approx(1.0, abs=0.02)
     assert kept.enabled
     assert main(["verify", str(axis.path)]) == 2  # the bridge's own on top
-    assert "would be taken out twice" in capsys.readouterr().err
+    assert "would be corrected twice" in capsys.readouterr().err
     assert run(axis, "prove", "--positions", "2", "--runs", "1") == 0
     assert kept.enabled, "as it was found"
     assert "off the stored ones at most" in capsys.readouterr().out

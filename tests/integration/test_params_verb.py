@@ -142,7 +142,7 @@ def test_who_agrees_gets_the_factory_defaults(
     )
     monkeypatch.setattr(sys, "stdin", io.StringIO(said))
     found, out, _ = run(capsys, "restore", path, "--factory", *options)
-    assert (found, "X: holds its factory defaults, and was started anew" in out) == (0, True)
+    assert (found, "X: holds its factory defaults, and was restarted" in out) == (0, True)
     assert len(list(tmp_path.glob("X-*.params.toml"))) == 1
 
 

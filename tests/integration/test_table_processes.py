@@ -52,7 +52,7 @@ def test_one_process_writes_and_is_killed_and_others_find_what_was_there(
                 assert main(["params", "table", "download", str(path), *unproven]) == 0
                 assert shown(path) == (True, POINTS)
                 assert main(["verify", str(path)]) == 2
-                assert "would be taken out twice" in capsys.readouterr().err
+                assert "would be corrected twice" in capsys.readouterr().err
 
         note = axis.store.directory / "drive-table-before.json"
         command = [

@@ -195,7 +195,9 @@ def _enter_backlash(args: argparse.Namespace, axis: AxisConfig, backlash: Single
     if backlash is None:
         raise InputError("--stored goes with --backlash: what is to be entered beside the stored tables")
     if args.resume or args.report or args.record or args.replay or args.straightness:
-        raise InputError("--stored measures nothing: no other option goes with it and --backlash")
+        raise InputError(
+            "--stored measures nothing, so --resume, --report, --record, --replay and --straightness cannot be given with it"
+        )
     if args.dry_run:
         print(f"axis {axis.name}: would move nothing")
         print(f"would write {axis.tables_path}")

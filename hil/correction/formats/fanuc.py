@@ -232,8 +232,8 @@ def _increments(correction_um: Floats, zero: int, at_zero_units: int, settings: 
     if largest > LARGEST:
         needed = settings.magnification * -(-largest // LARGEST)
         raise InputError(
-            f"a point would hold {largest} steps of {step:g} µm, and one holds {LARGEST}; a magnification (3623) of {needed},"
-            " or a shorter interval, would do"
+            f"a point needs {largest} steps of {step:g} µm, expected at most {LARGEST}: set a magnification (3623) of {needed}"
+            " or a shorter interval"
         )
     return values
 

@@ -135,8 +135,8 @@ def _exported(
     deviation = largest_difference_um(held, shifted(wanted, -shift))
     if deviation > settings.tolerance_um:
         raise InputError(
-            f"what this control can hold stays up to {enough(deviation)} µm from the tables, more than {settings.tolerance_um:g} µm;"
-            " allow that (tolerance_um) to export it all the same"
+            f"the control would deviate by up to {enough(deviation)} µm from the tables, more than {settings.tolerance_um:g} µm;"
+            " raise tolerance_um to export it"
         )
     return Export(text, len(held.position_mm), deviation, shift, notes)
 

@@ -46,7 +46,7 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
     header_line, header = rows[0]
     columns = [_column(label, header_line) for label in header[1:]]
     if not columns:
-        raise InputError("the header has no column of a run, expected such as 1+ or 1-", line=header_line)
+        raise InputError("the header has no column of a run, such as 1+ or 1-", line=header_line)
     if len(set(columns)) != len(columns):
         raise InputError("the header names a run and direction twice", line=header_line)
     units = {0: "mm", **dict.fromkeys(range(1, len(header)), settings.cells.rpartition("_")[2])}

@@ -60,7 +60,9 @@ def check_axes(axes: Sequence[AxisSession], circle: Circle, period_s: float) -> 
                 ) from error
         axis.drive.limits.check_velocity(max(circle.feed_mm_s, APPROACH_MM_S))
     if not 0.0 < period_s <= 0.1 * circle.radius_mm / circle.feed_mm_s:
-        raise InputError(f"a period of {1e3 * period_s:g} ms is no period for this circle")
+        raise InputError(
+            f"a period of {1e3 * period_s:g} ms, expected more than 0 and at most a tenth of radius over feed"
+        )
 
 
 def prepare(axes: Sequence[AxisSession], compensations: Sequence[Compensation | None] = (None, None)) -> None:

@@ -309,7 +309,7 @@ def _factory(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> int:
         for drive, error in zip(drives, errors, strict=True)
     ]
     for report in reports:
-        print(f"{report.drive}: {report.error or 'holds its factory defaults, and was started anew'}")
+        print(f"{report.drive}: {report.error or 'holds its factory defaults, and was restarted'}")
     for axis in axes:
         tell_bench(axis)
     if args.json:

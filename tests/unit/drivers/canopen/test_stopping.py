@@ -335,7 +335,7 @@ def test_no_order_enables_the_axis_after_a_stop(make: MakeRig, option: int) -> N
     drive = rig.moving()
     drive.send_stop()
     for order in (drive.motion.halt, lambda: drive.motion.move(MoveOrder(0, 100_000, 1_000_000))):
-        with pytest.raises(StateError, match="was told to stop; it takes orders again once it is enabled anew"):
+        with pytest.raises(StateError, match="was told to stop: enable it before the next command"):
             order()
     rig.clock.sleep_s(0.5)
     place_mm = rig.place_mm
@@ -546,7 +546,7 @@ def test_an_axis_that_is_not_seen_at_rest_is_quick_stopped_and_disabled_all_the_
     if option == 2:  # the drive disables itself after its quick stop: that counts
         drive.disable()
     else:
-        with pytest.raises(MotionTimeoutError, match="quick-stopped and disabled all the same"):
+        with pytest.raises(MotionTimeoutError, match="quick-stopped and disabled nevertheless"):
             drive.disable()
     assert SDO in [text for _, text in rig.frames]
     rig.assert_without_power_at_rest()

@@ -135,7 +135,7 @@ def test_sign_a_sealed_file_anew(place: Path) -> None:
         (["seal", "pitch.json", "--out", "s", "--key", "builder.key", "--update"], r"s: cannot be read"),
         (["sign", "--new-key", "builder"], "never overwritten"),
         (["sign", "pitch.json"], "nothing to sign with"),
-        (["sign", "pitch.json", "--new-key", "x"], "stands alone"),
+        (["sign", "pitch.json", "--new-key", "x"], "takes no FILE"),
         (["check", "pitch.json", "--builder", "builder.key"], "not a public key"),
         (["open", "pitch.json", "--builder", "builder.pub"], r"pitch\.json: is not a sealed file"),
     ],

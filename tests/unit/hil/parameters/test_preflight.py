@@ -1,4 +1,4 @@
-"""Objections and notes before a download, by hand: values that contradict their raw form, a reversal that would be taken out twice,
+"""Objections and notes before a download, by hand: values that contradict their raw form, a reversal that would be corrected twice,
 and units that no longer hold."""
 
 from __future__ import annotations

@@ -90,7 +90,7 @@ def test_a_start_since_it_was_looked_at_is_found_out() -> None:
     for starts, then in ((0, 1), (3, 4), (4, 3)):
         drive = PaperDrive(a=1)
         drive.starts = then
-        with pytest.raises(LinkLostError, match="drive X started anew meanwhile"):
+        with pytest.raises(LinkLostError, match="drive X restarted meanwhile"):
             bring(drive, starts=starts, a=2)
         assert drive.number("a") == 2  # it was written, and whoever asked puts it back
     same = PaperDrive(a=1)
@@ -303,7 +303,7 @@ def test_a_start_while_it_is_looked_at_or_before_all_is_proven_puts_everything_b
     early.on_read = lambda _address: setattr(early, "starts", 1)
     report = load(early, tmp_path / "early", a=5, b=6)
     assert report.ending is Ending.REFUSED
-    assert "started anew while it was read" in report.error
+    assert "restarted while it was read" in report.error
     assert not [line for line in early.log if line.startswith("w")]
     first, second = PaperDrive("X", a=1), PaperDrive("Y", a=1)
 
@@ -314,7 +314,7 @@ def test_a_start_while_it_is_looked_at_or_before_all_is_proven_puts_everything_b
     targets = [Target(d, the_set(a=5), Journal(tmp_path / d.name)) for d in (first, second)]
     reports = download(targets, store=True)
     assert [r.ending for r in reports] == [Ending.PUT_BACK] * 2
-    assert "drive X started anew before all of it was proven" in reports[0].error
+    assert "drive X restarted before all of it was proven" in reports[0].error
     assert reports[1].notes == ("because of X",)
     assert (first.number("a"), second.number("a")) == (1, 1)
     assert "store" not in first.log + second.log
@@ -773,4 +773,4 @@ def test_a_backup_is_of_what_may_be_written_unless_all_is_asked_for() -> None:
         contents = back_up([three])[0].contents
         assert (contents and contents.addresses) == kept_of
     drive.on_read = lambda _address: setattr(drive, "starts", drive.starts + 1)
-    assert "started anew" in back_up([drive])[0].error
+    assert "restarted" in back_up([drive])[0].error

@@ -244,7 +244,7 @@ def test_a_resumed_procedure_goes_on(folder: Path, capsys: pytest.CaptureFixture
     assert np.all(np.diff(whole["time_s"]) > 0.0)
     assert len(list(folder.glob("X-campaign/run-*"))) == 1
     assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 2
-    assert "nothing is left to go on with" in capsys.readouterr().err
+    assert "nothing to continue" in capsys.readouterr().err
 
 
 def test_with_the_stored_correction_in_force(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
