@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import argparse
 import os
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from drivers.files import replace_file
 from hil.machine.events import Listener
 from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasurement, on_schedule, ways
+from hil.probe.results import BoreResult, FeatureResult, ProbeCorrectionResult, RunOutResult
 from hil.probe.runout import CorrectionCode, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
 from hil.probe.wiring import before_feature
 from hil.ui.terminal.options import KEY, READING
-from hil.ui.terminal.output import print_facts, print_table, times, write_json
+from hil.ui.terminal.output import finish, print_facts, print_table, times, write_json
 from hil.ui.terminal.passwords import password
 from hil.ui.terminal.progress import terminal_progress
 from sim_backends.plant.touch_probe import Bore, Boss, Solid, Wall
@@ -74,20 +73,6 @@ def _uncertainty_text(config: ProbeMachineConfig, measured: RunOutMeasurement) -
     return f"{2.0 * std_um:.2f} µm in Δx and in Δy (k = 2, from the scatter of {len(measured.turns)} turns)"
 
 
-def measured_form(config: ProbeMachineConfig, measured: RunOutMeasurement, refusal: str | None) -> dict[str, Any]:
-    """A measurement as plain values."""
-    return {
-        "machine": config.name,
-        "good": refusal is None,
-        "refused": refusal,
-        "mode": measured.mode,
-        "seconds": measured.seconds,
-        "run_out": asdict(measured.run_out),
-        "run_out_std_um": run_out_std_um(measured.turns, config.position_step_mm(measured.mode)),
-        "turns": [{**asdict(turn), "closure_um": turn.closure_um} for turn in measured.turns],
-    }
-
-
 def print_measure_plan(config: ProbeMachineConfig, mode: str) -> None:
     """Prints the moves and writes of M90."""
     block, probe = config.block, config.probe
@@ -137,15 +122,6 @@ def correction_facts(config: ProbeMachineConfig, done: Correction) -> dict[str, 
     }
 
 
-def correction_form(config: ProbeMachineConfig, done: Correction) -> dict[str, Any]:
-    """A correction as plain values, mm."""
-    return {
-        "code": config.codes.name(done.code),
-        "driven_mm": list(done.driven_mm),
-        "counter_mm": list(done.counter_mm),
-    }
-
-
 SECONDS_PER_MINUTE = 60.0
 
 
@@ -186,16 +162,10 @@ def run_measure(args: argparse.Namespace) -> int:
 
 def _measure_once(args: argparse.Namespace, place: probe.ProbePlace, listener: Listener) -> str | None:
     found = probe.measure(place, args.mode, listener)
-    measured, refusal = found.measurement, found.refusal
-    print_measured(place.config, measured, refusal, place.store.path, place.bench)
-    if args.report:
-        from hil.probe.documents import run_out_report  # noqa: PLC0415  (plots are slow to import)
-
-        history = place.store.history()
-        text = run_out_report(place.config, measured, refusal, history)
-        replace_file(args.report, text.encode())
-    if args.json:
-        write_json(args.json, measured_form(place.config, measured, refusal))
+    config, refusal = place.config, found.refusal
+    print_measured(config, found.measurement, refusal, place.store.path, place.bench)
+    history = place.store.history() if args.report else ()
+    finish(args, RunOutResult(config.x, None, config, found.measurement, refusal, history))
     return refusal
 
 
@@ -227,12 +197,7 @@ def run_other(args: argparse.Namespace) -> int:
     if place.bench is not None:
         facts["simulated"] = "; ".join(map(_solid_text, place.bench.probe.parameters.solids))
     print_facts(facts)
-    if args.json:
-        touches = [{"axis": one.axis, "direction": one.direction, "at_mm": list(one.at_mm)} for one in found.touches]
-        form = {"machine": config.name, "feature": name, "measured": when, "spindle_deg": found.spindle_deg}
-        results = {"corrected": dict(found.corrected), "uncorrected": dict(found.uncorrected)}
-        write_json(args.json, {**form, **results, "contacts": touches})
-    return 0
+    return finish(args, FeatureResult(config.x, None, config, found, when))
 
 
 def _solid_text(solid: Solid) -> str:
@@ -270,10 +235,11 @@ def run_codes(args: argparse.Namespace) -> int:
         did = handled.did
         if isinstance(did, Correction):
             said = correction_facts(config, did)[handled.name]
-            forms.append(correction_form(config, did))
+            done = ProbeCorrectionResult(config.x, None, config, did, "").form()
+            forms.append({name: done[name] for name in ("code", "driven_mm", "counter_mm")})
         else:
             said = f"run-out {run_out_text(did.run_out)}, stored and in force"
-            forms.append({"code": handled.name, **measured_form(config, did, None)})
+            forms.append({"code": handled.name, **RunOutResult(config.x, None, config, did, None).form()})
         print(f"{handled.name}: {said}; MFIN given", flush=True)
         if args.json:
             write_json(args.json, {"machine": config.name, "handled": forms})
@@ -311,9 +277,7 @@ def run_correct(args: argparse.Namespace) -> int:
     with probe.at_machine(config, store) as place, terminal_progress() as listener:
         done = probe.drive_correction(place, known, code, listener)
     print_facts({"run-out": f"{run_out_text(known)}, measured {_moment(when)}", **correction_facts(config, done)})
-    if args.json:
-        write_json(args.json, {"machine": config.name, "measured": when, **correction_form(config, done)})
-    return 0
+    return finish(args, ProbeCorrectionResult(config.x, None, config, done, when))
 
 
 def run_centre(args: argparse.Namespace) -> int:
@@ -333,18 +297,4 @@ def run_centre(args: argparse.Namespace) -> int:
     with probe.at_machine(config, store) as place, terminal_progress() as listener:
         found = probe.centre(place, known, code, mode=args.mode, listener=listener)
     print_centre(config, found, place.bench)
-    if args.report:
-        from hil.probe.documents import centre_report  # noqa: PLC0415
-
-        replace_file(args.report, centre_report(config, found, when).encode())
-    if args.json:
-        centring = found.centring
-        form = {
-            "machine": config.name,
-            "measured": when,
-            "middle_mm": list(centring.middle_mm),
-            "centre_mm": list(centring.centre_mm),
-            "diameter_mm": centring.diameter_mm,
-        }
-        write_json(args.json, {**form, **correction_form(config, found.correction)})
-    return 0
+    return finish(args, BoreResult(config.x, None, config, found, when))

@@ -14,7 +14,7 @@ from typing import NoReturn, Protocol, Self
 
 from drivers.clock import Clock
 from drivers.drive import Capability, DriveSample, ServoDrive
-from drivers.errors import CapabilityError, SafetyError, StateError
+from drivers.errors import CapabilityError, InputError, SafetyError, StateError
 from drivers.touch_probe import Edge, TouchProbe
 from drivers.undo import Step
 from hil.machine.supervisor import Supervisor, finish_despite_interrupt
@@ -87,6 +87,8 @@ class ProbeSession:
         self._supervisor = Supervisor(list(self._axes.values()))
         self.config = config
         self.mode = config.probe.mode if mode is None else mode
+        if self.mode not in ("latch", "step"):
+            raise InputError(f"mode is {self.mode!r}, expected latch or step")
         self._signals = {name: signals[name] for name in touching}
         self._latches: dict[str, TouchProbe] = {}
         self.beside: Callable[[], None] = lambda: None

@@ -26,6 +26,7 @@ from hil.desk.result import Result
 from hil.desk.rows import Rows
 from hil.drive_table.result import DriveTableResult
 from hil.machine.events import Event
+from hil.probe.results import BoreResult, FeatureResult, ProbeCorrectionResult, ProbeResult, RunOutResult
 from hil.records.made_with import MadeWithError
 from hil.records.zero import ZeroError
 from hil.script.axes import open_axes
@@ -33,6 +34,7 @@ from hil.script.axis import Axis
 from hil.script.axis import open_axis as open
 from hil.script.own_table import OwnTable
 from hil.script.parameters import Parameters
+from hil.script.probe import Probe, open_probe
 from hil.script.procedure import Procedure, Row
 from hil.script.results import (
     CalibrationResult,
@@ -52,6 +54,7 @@ __all__ = [
     "Axis",
     "AxisReading",
     "BacklashResult",
+    "BoreResult",
     "BridgeError",
     "CalibrationResult",
     "CapabilityError",
@@ -61,6 +64,7 @@ __all__ = [
     "DriveTableResult",
     "ErrorFigures",
     "Event",
+    "FeatureResult",
     "FollowingErrorError",
     "InputError",
     "LimitError",
@@ -77,12 +81,16 @@ __all__ = [
     "ParameterComparison",
     "ParameterWriting",
     "Parameters",
+    "Probe",
+    "ProbeCorrectionResult",
+    "ProbeResult",
     "Procedure",
     "ProcedureResult",
     "Result",
     "ReversalResult",
     "Row",
     "Rows",
+    "RunOutResult",
     "SafetyError",
     "SealedError",
     "StateError",
@@ -92,4 +100,5 @@ __all__ = [
     "ZeroError",
     "open",
     "open_axes",
+    "open_probe",
 ]
