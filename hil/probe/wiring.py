@@ -62,25 +62,6 @@ VIRTUAL_BUS = "virtual"  # python-can's name of the interface
 
 
 @contextmanager
-def connected_probe(
-    config: ProbeMachineConfig,
-    *,
-    touching: Sequence[str] = ("x",),
-    mode: str | None = None,
-    bench: ProbeBench | None = None,
-    waiting: Waiting | None = None,
-) -> Iterator[ProbeSession]:
-    """A session on the machine of a machine file, or on a bench. Raises as `probe_drives`; arguments as of
-    `ProbeSession`.
-    """
-    with (
-        probe_drives(config, bench, waiting) as drives,
-        probe_session(config, drives, touching=touching, mode=mode) as session,
-    ):
-        yield session
-
-
-@contextmanager
 def probe_drives(
     config: ProbeMachineConfig, bench: ProbeBench | None = None, waiting: Waiting | None = None
 ) -> Iterator[dict[str, ServoDrive]]:

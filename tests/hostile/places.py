@@ -16,6 +16,7 @@ import numpy as np
 from hostile.can_peer import CanPeer, stand_in
 from support import probe_files
 from support.bench_axis import AXIS, PASSWORDS
+from support.probe_files import connected_probe
 
 import hil.machine.bench_canopen
 import hil.machine.bench_wiring
@@ -45,7 +46,7 @@ from hil.machine.axes_wiring import connected_across, connected_axes
 from hil.machine.wiring import connected, connected_drive
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.procedure import measure_run_out
-from hil.probe.wiring import connected_probe, probe_bench
+from hil.probe.wiring import probe_bench
 from hil.records.journal import Campaign
 from sim_backends.bench import Bench, BenchParameters
 

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import pytest
 from support import probe_files
+from support.probe_files import connected_probe
 
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import RunOutMeasurement, centre_bore, measure_run_out
 from hil.probe.runout import CorrectionCode, RunOut
-from hil.probe.wiring import connected_probe, probe_bench
+from hil.probe.wiring import probe_bench
 from sim_backends.plant.touch_probe import Bore, Chip, Face, Stylus
 from sim_backends.probe import ProbeParameters
 from sim_backends.probe_bench import ProbeBench

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+
+from hil.probe.machine_file import ProbeMachineConfig
+from hil.probe.session import ProbeSession
+from hil.probe.wiring import probe_drives, probe_session
+from sim_backends.probe_bench import ProbeBench
 
 AXIS = """
 [axis]
@@ -90,3 +97,21 @@ def lay_out(
     )
     path.write_text(text.replace('y = "Y.toml"', 'y = "Y.toml"\nz = "Z.toml"') if z else text)
     return path
+
+
+@contextmanager
+def connected_probe(
+    config: ProbeMachineConfig,
+    *,
+    touching: Sequence[str] = ("x",),
+    mode: str | None = None,
+    bench: ProbeBench | None = None,
+) -> Iterator[ProbeSession]:
+    """A session on the machine of a machine file, or on a bench. Raises as `probe_drives`; arguments as of
+    `ProbeSession`.
+    """
+    with (
+        probe_drives(config, bench) as drives,
+        probe_session(config, drives, touching=touching, mode=mode) as session,
+    ):
+        yield session

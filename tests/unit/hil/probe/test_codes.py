@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from support import probe_files
+from support.probe_files import connected_probe
 
 from drivers.errors import InputError, MotionTimeoutError
 from hil.probe.codes import CodeError, HandShake, Phase, number_shown
@@ -15,7 +16,7 @@ from hil.probe.machine_file import CodesConfig, ProbeMachineConfig, load_probe_m
 from hil.probe.procedure import Correction, HandledCode, serve_codes
 from hil.probe.runout import CorrectionCode, MeasurementRefusedError, RunOut
 from hil.probe.store import RunOutStore
-from hil.probe.wiring import connected_probe, control_wires, probe_bench
+from hil.probe.wiring import control_wires, probe_bench
 from sim_backends.control_wires import ControlFault, SimulatedControl, Wires
 from sim_backends.plant.touch_probe import Chip, Face, Stylus
 from sim_backends.probe import ProbeParameters

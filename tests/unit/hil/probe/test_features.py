@@ -14,13 +14,14 @@ from typing import Any
 
 import pytest
 from support import probe_files
+from support.probe_files import connected_probe
 
 from drivers.errors import InputError
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import FeatureMeasurement, centre_bore, correct, measure_feature, measure_run_out
 from hil.probe.runout import Ball, CorrectionCode, RunOut, Touch, boss_mm
 from hil.probe.session import UnexpectedContactError
-from hil.probe.wiring import connected_probe, probe_bench
+from hil.probe.wiring import probe_bench
 from sim_backends.plant.touch_probe import Bore, Boss, Face, Solid, Stylus, Wall
 from sim_backends.probe import ProbeParameters
 from sim_backends.probe_bench import ProbeBench

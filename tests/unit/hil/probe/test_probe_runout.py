@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from support import probe_files
+from support.probe_files import connected_probe
 
 from drivers.drive import Capability
 from drivers.errors import CapabilityError, DriveFaultError, InputError, LimitError, StateError
@@ -20,7 +21,7 @@ from hil.probe.procedure import centre_bore, correct, measure_and_store, measure
 from hil.probe.runout import CorrectionCode, RunOut
 from hil.probe.session import NoContactError, ProbeSession, UnexpectedContactError
 from hil.probe.store import RunOutStore
-from hil.probe.wiring import connected_probe, probe_bench, probe_drives, probe_session
+from hil.probe.wiring import probe_bench, probe_drives, probe_session
 from sim_backends.clock import SimClock
 from sim_backends.plant.touch_probe import Chip, Face, Stylus
 from sim_backends.probe import ProbeParameters
