@@ -4,7 +4,6 @@ import gc
 import os
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -54,8 +53,6 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     if hasattr(config, "workerinput"):
         gc.disable()  # until all tests are collected
-        # pytest keeps the tests with their assertions rewritten, which take each worker 16 s, where Python may keep its own
-        sys.dont_write_bytecode = False
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
@@ -64,8 +61,17 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Two processes for the whole suite; named files stay in this one, where a debugger and -s work."""
-    return 2 if config.args_source is pytest.Config.ArgsSource.TESTPATHS else 0
+    """Two processes for the whole suite; named files stay in this one, where a debugger and -s work.
+
+    The two begin with an environment as `.ci/run` has it: threads of small matrix products would wait for one another (minutes, where
+    other programs compute too), and where nothing compiled is kept, each run rewrites the assertions of 367 files twice, 16 s each.
+    """
+    if config.args_source is not pytest.Config.ArgsSource.TESTPATHS:
+        return 0
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+    return 2
 
 
 OUTSIDE = {"guest", "browser", "linuxcnc", "vcan"}
@@ -97,7 +103,6 @@ def pytest_collection_finish(session: pytest.Session) -> None:
         gc.collect()
         gc.freeze()
         gc.enable()
-        sys.dont_write_bytecode = bool(os.environ.get("PYTHONDONTWRITEBYTECODE"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
