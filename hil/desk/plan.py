@@ -18,6 +18,11 @@ OF_PROCEDURE = "run-"
 """Begin of the kind of a job, and of its campaigns, that carries out a user's procedure."""
 
 
+def text_key(kind: str) -> str:
+    """The key of a job's kind in the texts of the screen; procedures of users have one together."""
+    return "procedure" if kind.startswith(OF_PROCEDURE) else kind.replace(" ", "_")
+
+
 @dataclass(frozen=True)
 class Move:
     """One kind of motion. what: "measure", "reverse +", "reverse −", "probe" …; low_mm, high_mm: its ends, mm of the load;

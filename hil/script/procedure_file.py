@@ -85,12 +85,18 @@ class Parameter:
     kind: Kind
     usual: Any
 
+    @property
+    def shown(self) -> str:
+        """Its usual value as a command line and a field of the screen take it, "" without one."""
+        if self.usual is MISSING:
+            return ""
+        return ",".join(f"{one:g}" for one in self.usual) if isinstance(self.usual, tuple) else str(self.usual)
+
     def add_to(self, group: argparse._ArgumentGroup) -> None:
         """Add it as an option, with and without underscores."""
         names = dict.fromkeys((f"--{self.name.replace('_', '-')}", f"--{self.name}"))
         required = self.usual is MISSING
-        shown = ",".join(f"{one:g}" for one in self.usual) if isinstance(self.usual, tuple) else self.usual
-        text = f"{self.kind.said} ({'required' if required else f'default {shown}'})".replace("%", "%%")
+        text = f"{self.kind.said} ({'required' if required else f'default {self.shown}'})".replace("%", "%%")
         more: dict[str, Any] = {"dest": f"parameter {self.name}", "default": argparse.SUPPRESS, "required": required}
         if bool in self.kind.types:
             group.add_argument(*names, **more, action=argparse.BooleanOptionalAction, help=text)

@@ -22,9 +22,9 @@ from hil.desk.job import Job, Workplace, tell_unchecked
 from hil.desk.plan import OF_PROCEDURE, Move, Plan, Write
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.effects.user_code import in_short
-from hil.machine.events import Event, Listener, silent
+from hil.machine.events import Event, Listener, Point, silent
 from hil.records.journal import FINISHED, Campaign, RowJournal
-from hil.records.rows import Records, parse_csv
+from hil.records.rows import UM_PER_MM, Records, parse_csv
 from hil.script.axis import Axis
 from hil.script.given import Passwords
 from hil.script.procedure import Procedure, Row, file_of, line_of, naming_the_line, shown_file, values_of
@@ -213,7 +213,9 @@ class _Rows:
     def _append(self, journal: RowJournal, row: Row, rows: Iterable[Row]) -> None:
         self._check(journal, row, rows)
         journal.append(row)
-        self._listener(Event(self._name, f"run {row['run']:g}, row {len(journal)}", done=len(journal)))
+        error_um = UM_PER_MM * (row["measured_mm"] - row["target_mm"])
+        found = Point(f"run {row['run']:g}", row.get("time_s", float(len(journal))), error_um)
+        self._listener(Event(self._name, f"run {row['run']:g}, row {len(journal)}", done=len(journal), found=found))
 
     def _wrong(self, rows: object, what: str) -> InputError:
         """An error at the line where the procedure stands."""

@@ -11,6 +11,7 @@ from nicegui import ui
 from drivers.drive import DriveState
 from hil.app.panel.events import draw_events
 from hil.desk.desk import Desk
+from hil.desk.plan import OF_PROCEDURE, text_key
 from hil.desk.progress import Phase, Progress
 from hil.desk.roles import Role
 from hil.desk.unfinished import UnfinishedWork
@@ -41,6 +42,7 @@ _PAGES = {
     "probe": "probe",
     "parameters": "parameters",
     "close-loop": "diagnosis",
+    OF_PROCEDURE: "procedure",
 }
 """First words of a job's kind, and its page; the others are jobs of the calibration."""
 
@@ -167,7 +169,7 @@ def _doing(view: View) -> str:
     """The running job; else how the axis came to rest after the last stop; else that there is none."""
     now, rest, t = view.desk.job(), view.desk.came_to_rest, view.t
     if now is not None and now.running:
-        return t("header.stopping") if now.stopping else t(f"job.{_key(now.kind)}")
+        return t("header.stopping") if now.stopping else t(f"job.{text_key(now.kind)}")
     if view.desk.computed.running:
         return t("bar.computing", seconds=t.number(view.desk.computed.seconds, 0))
     if rest is None:
@@ -179,12 +181,8 @@ def _last(view: View, job: Progress | None) -> str:
     return (
         ""
         if job is None
-        else view.t("bar.last", job=view.t(f"job.{_key(job.kind)}"), how=view.t(f"phase.{job.phase.value}"))
+        else view.t("bar.last", job=view.t(f"job.{text_key(job.kind)}"), how=view.t(f"phase.{job.phase.value}"))
     )
-
-
-def _key(kind: str) -> str:
-    return kind.replace(" ", "_")
 
 
 # -- the rail ----------------------------------------------------------------------------------------------------------

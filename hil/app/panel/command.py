@@ -23,6 +23,7 @@ example:
   hil panel X.toml                                  prints the address; open it in a browser on this machine
   hil panel X.toml Y.toml --port 8080 --lang de     several axes, German
   hil panel X.toml Y.toml --probe MACHINE.toml      and the touch probe of the machine
+  hil panel X.toml --run creep.py                   and a measuring procedure of yours (hil help scripts)
   hil panel X.toml --pace 10                        on the bench, jobs run ten times as fast as a machine (0: as fast as they go)
   hil panel X.toml --bind 192.0.2.7 --cert server.crt --key server.key     for other machines: TLS, and a token for every browser
 
@@ -48,6 +49,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     )
     parser.add_argument("axes", metavar="AXIS.toml", nargs="+", help="an axis file each")
     parser.add_argument("--probe", metavar="MACHINE.toml", help="the machine file of a touch probe, for its page")
+    parser.add_argument(
+        "--run",
+        dest="run_file",
+        metavar="PROCEDURE.py",
+        help="a measuring procedure of yours (hil run), for a page of its own",
+    )
     parser.add_argument("--port", type=_port, default=0, help="TCP port (default 0: any free one, which is printed)")
     parser.add_argument("--pace", type=_pace, default=1.0, help="of jobs on the bench against real time (default 1)")
     parser.add_argument("--lang", choices=LANGUAGES, default="en", help="language of a new browser (default en)")
@@ -92,9 +99,14 @@ def run(args: argparse.Namespace) -> int:
     axes = [load_drive_axis(path) for path in args.axes]
     _check_names(axes)
     probe = None if args.probe is None else load_probe_machine(args.probe)
+    procedure = None
+    if args.run_file is not None:
+        from hil.script.procedure_file import load_procedure  # noqa: PLC0415  (loads the user's code)
+
+        procedure = load_procedure(args.run_file)
     tls, token = _access(args)
     try:
-        from hil.app.panel import server  # noqa: PLC0415  (an extra, and seconds of imports)
+        from hil.app.panel import pages, server  # noqa: PLC0415  (an extra, and seconds of imports)
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in ("nicegui", "fastapi", "uvicorn", "starlette"):
             raise
@@ -112,7 +124,7 @@ def run(args: argparse.Namespace) -> int:
         if token is not None and not args.token_file:
             print(f"access token: {token}", flush=True)
         try:
-            server.serve(desks, access, args.lang, listening, probe)
+            server.serve(desks, access, args.lang, listening, pages.pages(probe, procedure))
         except KeyboardInterrupt:
             print("hil: the axes were stopped, what was measured is kept", file=sys.stderr)
     return 0

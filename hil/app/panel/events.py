@@ -10,6 +10,7 @@ from nicegui import ui
 
 from hil.desk.desk import Desk
 from hil.desk.event_log import Entry, Kind
+from hil.desk.plan import text_key
 from hil.ui.screen.view import View
 
 FILTERS = ("all", "alarm", "job", "write")
@@ -27,8 +28,7 @@ MOST_SHOWN = 100
 def sentence(view: View, entry: Entry) -> str:
     """What happened, in the page's language."""
     figures = {
-        name: view.t.known("job", text.replace(" ", "_")) if name == "job" else text
-        for name, text in entry.figures.items()
+        name: view.t.known("job", text_key(text)) if name == "job" else text for name, text in entry.figures.items()
     }
     return view.t(f"event.{entry.what}", axis=entry.axis, **figures)
 

@@ -19,13 +19,12 @@ from fastapi.staticfiles import StaticFiles
 from nicegui import Client, ui
 from nicegui import app as nicegui_app
 
+from hil.app.panel.bar import Page
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Form, Guard
-from hil.app.panel.pages import pages
 from hil.app.unfinished import unfinished_work
 from hil.desk.desk import Desk
-from hil.probe.machine_file import ProbeMachineConfig
 from hil.report.page import serve_reports
 from hil.ui.screen.browsers import COOKIE, Browsers
 from hil.ui.screen.texts import Texts
@@ -86,10 +85,10 @@ def serve(
     access: Access,
     language: str,
     listening: socket.socket,
-    probe: ProbeMachineConfig | None = None,
+    all_pages: Sequence[Page],
 ) -> None:
-    """Serve until SIGINT or SIGTERM. listening: a listening socket; probe: the machine with a touch probe, None for none."""
-    app = guarded(application(desks, language, probe), access, language)
+    """Serve until SIGINT or SIGTERM. listening: a listening socket; all_pages: in the order of the navigation."""
+    app = guarded(application(desks, language, all_pages), access, language)
     cert, key = access.tls or (None, None)
     # NiceGUI searches all objects of the garbage collector for its server, which fails at one of canopen's: existing ones are hidden
     gc.freeze()
@@ -128,12 +127,11 @@ def guarded(app: FastAPI, access: Access, language: str) -> App:
     return Guard(app, hosts, access.token, form, secure=access.tls is not None, proxied=access.names)
 
 
-def application(desks: Sequence[Desk], language: str, probe: ProbeMachineConfig | None = None) -> FastAPI:
+def application(desks: Sequence[Desk], language: str, all_pages: Sequence[Page]) -> FastAPI:
     """All addresses: the stop, the pages of each axis, and what they load."""
     app = FastAPI(openapi_url=None)
     browsers = Browsers(language)
     by_name = {desk.name: desk for desk in desks}
-    all_pages = pages(probe)
     home = f"/axis/{desks[0].name}/{all_pages[0].name}"
 
     @app.post("/stop")

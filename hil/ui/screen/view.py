@@ -20,7 +20,7 @@ from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
 from hil.desk.error_log import one_line
 from hil.desk.job import Job
-from hil.desk.plan import Plan
+from hil.desk.plan import Plan, text_key
 from hil.desk.progress import Progress
 from hil.desk.roles import Role
 from hil.desk.unfinished import UnfinishedWork
@@ -220,7 +220,7 @@ class View:
         if not self.in_control:
             self.show_error(NotInControlError())
             return False
-        kind = "going_on" if job.plan.measured else job.kind.replace(" ", "_")
+        kind = "going_on" if job.plan.measured else text_key(job.kind)
         go = self.t(f"go.{kind}", axis=self.desk.name)
         if not await self.ask([*changes, *self.question(job.plan)], go):
             return False

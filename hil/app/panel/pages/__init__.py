@@ -12,10 +12,13 @@ from hil.parameters import page as parameters
 from hil.probe import page as probe
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.report import page as reports
+from hil.script import page as procedure_page
+from hil.script.procedure import Procedure
 
 
-def pages(probe_machine: ProbeMachineConfig | None) -> tuple[Page, ...]:
-    """All pages. probe_machine: the machine with a touch probe, None for none."""
+def pages(probe_machine: ProbeMachineConfig | None, procedure: type[Procedure] | None = None) -> tuple[Page, ...]:
+    """All pages. probe_machine: the machine with a touch probe; procedure: a user's own; None for none."""
+    own = () if procedure is None else (Page("procedure", partial(procedure_page.draw, procedure=procedure)),)
     return (
         Page("overview", overview.draw),
         Page("axes", axes.draw, several=True),
@@ -23,6 +26,7 @@ def pages(probe_machine: ProbeMachineConfig | None) -> tuple[Page, ...]:
         Page("backlash", backlash.draw),
         Page("lost_motion", lost_motion.draw),
         Page("probe", partial(probe.draw, machine=probe_machine)),
+        *own,
         Page("diagnosis", diagnosis.draw),
         Page("parameters", parameters.draw),
         Page("reports", reports.draw),

@@ -1,0 +1,81 @@
+"""Page of a user's own procedure: its parameters, start and resume, and the error of each row as it is measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from nicegui import ui
+
+from drivers.errors import InputError
+from hil.axis.axis_file import AxisConfig
+from hil.records.journal import Campaign
+from hil.script.procedure import Procedure, naming_the_line
+from hil.script.procedure_file import parameters_of
+from hil.script.procedure_job import procedure_job
+from hil.ui.screen.pieces import Reading, draw_ready, draw_where, measured_checks
+from hil.ui.screen.plots import JobPlot
+from hil.ui.screen.view import View
+
+
+def draw(view: View, procedure: type[Procedure]) -> None:
+    """Draws the page."""
+    axis = view.desk.axis
+    if not isinstance(axis, AxisConfig):
+        view.named(ui.label(view.t("procedure.no_instrument")).classes("hil-note"), "procedure.no_instrument")
+        return
+    messages = view.messages("procedure.messages")
+    with ui.element("div").classes("hil-job-page"):
+        with ui.element("div").classes("hil-side"):
+            where = draw_where(view, "procedure", lambda: view.desk.last(procedure.kind))
+            buttons = _draw_buttons(view, axis, procedure)
+        with ui.element("div").classes("hil-main"), view.card("procedure.rows"):
+            x, y = view.t("procedure.plot_x"), view.t("procedure.plot_y")
+            plot = JobPlot(view, procedure.kind, x, y, name="procedure.plot", dots=True)
+
+    def refresh() -> None:
+        messages.show(view.desk.last(procedure.kind))
+        for part in (where, buttons, plot.refresh):
+            part()
+
+    view.every(refresh)
+
+
+def _draw_buttons(view: View, axis: AxisConfig, procedure: type[Procedure]) -> Callable[[], None]:
+    """A field for each parameter, and the buttons."""
+    kind, fields = procedure.kind, {}
+    with view.card("procedure.parameters"):
+        view.named(ui.label(procedure.__name__), "procedure.name")
+        for one in parameters_of(procedure):
+            is_switch = bool in one.kind.types
+            field: Any = (
+                ui.switch(one.name, value=one.usual is True) if is_switch else ui.input(one.name, value=one.shown)
+            )
+            fields[one] = view.named(field, f"procedure.{one.name}")
+
+    def given() -> Procedure:
+        values = {}
+        for one, field in fields.items():
+            try:
+                values[one.name] = field.value if bool in one.kind.types else one.kind.read(str(field.value))
+            except ValueError as error:
+                raise InputError(f"{one.name} is {field.value!r}, expected {one.kind.said}") from error
+        with naming_the_line(procedure, "__init__"):
+            return procedure(**values)
+
+    async def start(*, resume: bool) -> None:
+        await view.ask_and_run(procedure_job(axis, given(), resume=resume))
+
+    broken_off = Reading(view, lambda: Campaign.unfinished(axis.store.directory, kind) is not None)
+    ready = draw_ready(view, "procedure", *measured_checks(view))
+    with ui.element("div").classes("hil-buttons"):
+        begin = view.button("procedure.start", partial(start, resume=False)).classes("hil-go")
+        go_on = view.button("procedure.resume", partial(start, resume=True))
+
+    def refresh() -> None:
+        ready()
+        begin.allow(view.why_not())
+        go_on.allow(view.why_not() or ("" if broken_off.value else view.t("procedure.nothing_broken_off")))
+
+    return refresh
