@@ -296,7 +296,7 @@ class Cia402Drive(StoppableDrive):
             except MotionTimeoutError:
                 self.quick_stop()
                 raise
-        raise StateError(f"drive {self.name}: homing was given no attempt")
+        raise StateError(f"drive {self.name}: expected at least one attempt to home")
 
     # -- how it is stopped and disabled --------------------------------------------------------------------------------
     @property

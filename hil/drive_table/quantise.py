@@ -95,8 +95,8 @@ def drive_table(
     found_um = largest_deviation_um(curve, wanted, limits.travel_min_mm, limits.travel_max_mm)
     if found_um > deviation_um + _ROUNDING_SLACK_UM:
         raise InputError(
-            f"{description.name} would deviate from ours by {found_um:.3f} µm, more than {deviation_um:g} µm; allow that"
-            " (deviation_um)"
+            f"{description.name} would deviate from ours by {found_um:.3f} µm, more than {deviation_um:g} µm;"
+            " allow a larger deviation (deviation_um)"
         )
     largest_um = max(float(np.max(np.abs(curve_um))) for curve_um in (wanted.plus_um, wanted.minus_um))
     return DriveTable(curve, found_um, rounding_um, largest_um)
@@ -179,7 +179,7 @@ def _stepped(
             best_um, best = off_um, len(nodes)
     raise InputError(
         f"{description.name} holds a value until the next node, and with the {best} points that suit it best it is"
-        f" {best_um:.3f} µm off; allow that (deviation_um), or keep the correction in the bridge"
+        f" {best_um:.3f} µm off; allow a larger deviation (deviation_um), or keep the correction in the bridge"
     )
 
 

@@ -17,9 +17,7 @@ def main(path: str) -> int:
     print(
         f"fresh moves: {found.before_um:.2f} µm off at worst before, {found.after_um:.2f} µm with the correction in force"
     )
-    print(
-        f"stored in {axis.file.tables_path}" if found.stored else "not stored: it did not prove itself an improvement"
-    )
+    print(f"stored in {axis.file.tables_path}" if found.stored else "not stored: it is not proven to be an improvement")
     return 0 if found.good else 1
 
 

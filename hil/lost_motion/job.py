@@ -175,7 +175,7 @@ def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
     compensation.
     """
     if not measured.result.good:
-        raise StateError("the correction did not prove itself to be an improvement: it is not stored")
+        raise StateError("the correction is not proven to be an improvement: it is not stored")
     now, then = stored_now(store), measured.present
     if _in_force(now) != _in_force(then):
         raise StateError(

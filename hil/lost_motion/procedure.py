@@ -402,10 +402,10 @@ def verdict(result: LostMotionResult) -> Sequence[str]:
             f" {do}"
         )
     elif not proof.good and result.compensation.terms:
-        said.append(f"the correction did not prove itself: {left}; {_first(result)}")
+        said.append(f"the correction is not proven: {left}; {_first(result)}")
     elif not proof.good:
         said.append(
-            f"the correction did not prove itself: {left}, {proof.over_um:.2f} µm over-compensated at worst;"
+            f"the correction is not proven: {left}, {proof.over_um:.2f} µm over-compensated at worst;"
             " measure again with more places and runs, and strokes where the axis works (at_mm)"
         )
     return said

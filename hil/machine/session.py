@@ -531,7 +531,7 @@ class AxisSession:
     def load_position_mm(self, reading: Reading) -> float:
         """Load position of a reading, mm. Raises StateError before `prepare()` or for a reading without a position."""
         if self._datum_mm is None or reading.position_mm is None:
-            raise StateError("a position needs a good reading, and prepare() first: the instrument has no datum")
+            raise StateError("expected prepare() and a good reading before a position: the instrument has no datum")
         return self._in_load_frame(reading.position_mm, self._datum_mm)
 
     def _in_load_frame(self, position_mm: float, datum_mm: float) -> float:

@@ -246,7 +246,7 @@ def store_job(axis: DriveAxis, contents: ParameterSet) -> Job:
 
     def work(place: Workplace) -> JobReport:
         if not _compared(axis, contents, place).same:
-            raise StateError("the drive does not hold this set: it was not told to keep it")
+            raise StateError("the drive does not hold this set, so it was not told to store it")
         (report,) = write_axes([axis], [contents], store=True, progress=_progress_events(place), waiting=place.waiting)
         return report
 

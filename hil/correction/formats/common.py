@@ -229,8 +229,8 @@ def equidistant(
             best, best_step, best_points = deviation, step, len(grid)
     raise InputError(
         f"no equal step with at most {max_points} points keeps the table within {tolerance_um:g} µm; the best,"
-        f" {best_step:g} mm with {best_points} points, deviates by {enough(best)} µm: allow that"
-        " (tolerance_um), or more points (max_points)"
+        f" {best_step:g} mm with {best_points} points, deviates by {enough(best)} µm: allow a"
+        " larger deviation (tolerance_um), or more points (max_points)"
     )
 
 
@@ -244,7 +244,7 @@ def _check_resampling(deviation_um: float, step_mm: float, tolerance_um: float) 
     if deviation_um > tolerance_um:
         raise InputError(
             f"with a step of {step_mm:g} mm the table deviates by {enough(deviation_um)} µm, more than {tolerance_um:g} µm;"
-            " allow that (tolerance_um), or narrow the step"
+            " allow a larger deviation (tolerance_um), or narrow the step"
         )
 
 
@@ -326,8 +326,8 @@ def check_written(written: TableSet, wanted: DirectionalTable, *, limit_um: floa
     deviation = largest_difference_um(both_directions(written), wanted)
     if deviation > limit_um:
         raise InputError(
-            f"the file would deviate from the tables by {deviation:.3f} µm, more than {limit_um:.3f} µm; allow that"
-            " (tolerance_um), or choose finer points"
+            f"the file would deviate from the tables by {deviation:.3f} µm, more than {limit_um:.3f} µm; allow a"
+            " larger deviation (tolerance_um), or choose finer points"
         )
     return deviation
 

@@ -136,7 +136,7 @@ def _exported(
     if deviation > settings.tolerance_um:
         raise InputError(
             f"the control would deviate by up to {enough(deviation)} µm from the tables, more than {settings.tolerance_um:g} µm;"
-            " raise tolerance_um to export it"
+            " allow a larger deviation (tolerance_um) to export it"
         )
     return Export(text, len(held.position_mm), deviation, shift, notes)
 

@@ -474,7 +474,7 @@ def test_fanuc_says_what_to_change(small: TableSet) -> None:
     chosen = FanucSettings(reference_mm=10.0, step_mm=10.0)
     steep = TableSet(TableMode.BIDIRECTIONAL, small.pitch.scaled(4.0))
     with pytest.raises(
-        InputError, match=r"would hold 28 steps of 1 µm, and one holds 7; a magnification \(3623\) of 4"
+        InputError, match=r"needs 28 steps of 1 µm, expected at most 7: set a magnification \(3623\) of 4"
     ):
         fanuc.dump(steep, chosen)
     assert fanuc.export(steep, replace(chosen, magnification=4)).deviation_um < 1e-9

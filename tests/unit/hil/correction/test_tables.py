@@ -165,7 +165,7 @@ def test_sharing_out_to_straightness_keeps_the_total_everywhere(
     tables: TableSet, at: list[float], direction: int, share: float
 ) -> None:
     if tables.specified is None:
-        with pytest.raises(InputError, match="no specified"):
+        with pytest.raises(InputError, match="needs a specified accuracy"):
             split_specified(tables, share)
         return
     split = split_specified(tables, share)

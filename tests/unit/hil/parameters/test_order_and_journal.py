@@ -27,7 +27,7 @@ def test_units_before_limits_before_the_rest_and_else_as_given() -> None:
 
 def test_what_comes_after_another_waits_for_it() -> None:
     assert in_order(["a", "b", "c"], _rank, {"a": ["c"], "b": ["nobody"]}) == ["b", "c", "a"]
-    with pytest.raises(InputError, match="expected an order without a circle"):
+    with pytest.raises(InputError, match="expected an order without a cycle"):
         in_order(["a", "b"], _rank, {"a": ["b"], "b": ["a"]})
 
 
