@@ -154,7 +154,7 @@ class Form:
     scan: part of the first search; the others only refine an effect already found
     exhaustive: the grid holds every parameter value that makes a difference
     shrunk: many coefficients with a common normal prior (ridge) instead of free ones
-    log_odds: prior log odds against the other forms
+    log_odds: prior log odds against the other forms; that its parameters are free is paid by the grid
     """
 
     effect: str
@@ -167,6 +167,10 @@ class Form:
     exhaustive: bool = False
     shrunk: bool = False
     log_odds: float = 0.0
+
+    def log_prior(self, theta: Sequence[float]) -> float:
+        """Log of the prior density of the parameters, relative to that at their usual values; 0 where they have none."""
+        return float(sum(p.log_prior(value) for p, value in zip(self.nonlinear, theta, strict=True)))
 
 
 class Effect(ABC):

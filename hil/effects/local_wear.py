@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
@@ -20,10 +19,6 @@ WIDEST = 1 / 6
 """Largest width over half the travel: a zone, four widths, takes a third of the travel; what is wider is a shape of the axis."""
 AT_BOUND = 0.95
 """Share of the widest from which the fit wants more than a zone."""
-ANYWHERE = -math.log(2 / USUAL_SHARE)
-"""Prior log odds: the place of a zone is free over as many places as widths fit into the travel, which the best of them does not
-pay.
-"""
 NARROW = 0.1
 """Width over half the travel up to which a smooth table cannot represent the bump."""
 BUMP, REVERSAL, BOTH = "bump", "bump with direction", "bump in each direction"
@@ -76,7 +71,7 @@ class LocalWear(Effect):
             parameters = centre, replace(width, upper=WIDER[shape] * width.upper)
             for name in (BUMP, REVERSAL, BOTH) if survey.has("direction") else (BUMP,):
                 scan = not shape and name != BOTH
-                forms.append(Form(self.id, shape + name, inputs, {}, parameters, starts, scan=scan, log_odds=ANYWHERE))
+                forms.append(Form(self.id, shape + name, inputs, {}, parameters, starts, scan=scan))
         return tuple(forms)
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:

@@ -17,7 +17,6 @@ from hil.effects.survey import Survey
 from hil.effects.warming import (
     SINCE_START,
     WARMING,
-    course_odds,
     lag_of,
     rise,
     seen_in_rows,
@@ -60,8 +59,7 @@ class ThermalDrift(Effect):
             return forms
         parameter, grid = time_constants(survey)
         travel = {"centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm, **time_of_rows(survey)}
-        inputs, odds = (survey.time_column, "target_mm"), course_odds(survey)
-        return (*forms, Form(self.id, UNEVEN, inputs, travel, (parameter,), grid[::2], log_odds=odds))
+        return (*forms, Form(self.id, UNEVEN, (survey.time_column, "target_mm"), travel, (parameter,), grid[::2]))
 
     def basis(self, form: Form, theta: Sequence[float], columns: Columns) -> Floats:
         if form.name != UNEVEN:

@@ -27,15 +27,6 @@ ABOUT_A_POINT = ", about a fixed point"
 """End of the name of a form that grows about a point which is fitted."""
 UNLIKE_ALONG = ", unlike along the travel"
 """Before that, in the name of a form whose growth changes along the travel: a screw is warmest where its nut works most."""
-LAG = -1.5
-"""Prior log odds of a temperature through a lag: this is free over a range of 150 to 1 and found to a factor of 1.7 or so either way,
-which is an Occam factor of 5 that the profile over it does not pay. Of 109 machines of the study with a slow cause (tuning seeds) two
-more names are right with -1.5 and a prior for the choice of the column than without both, and fresh errors are 6 % less in the mean.
-"""
-UNMEASURED = -3.0
-"""The same of a course of time where a temperature of the machine is logged, beside one through a lag: its time constant is free over
-a range of 180 to 1 and found to a tenth or so, a factor of 20.
-"""
 Rows = NDArray[np.bool_] | slice
 ALL_ROWS = slice(None)
 LATE = 0.25
@@ -85,17 +76,14 @@ def temperature_forms(
     if survey.rows < 4 or not survey.has(survey.time_column):
         return tuple(forms)
     parameter, grid = time_constants(survey)
-    odds = course_odds(survey)
     inputs, rows = (survey.time_column, *extra_inputs), time_of_rows(survey)
-    forms.append(Form(effect, WARMING, inputs, rows, nonlinear=(parameter,), starts=grid, log_odds=odds))
-    forms.append(
-        Form(effect, SLOW_WARMING, inputs, rows, nonlinear=(parameter,), starts=grid, scan=False, log_odds=odds)
-    )
+    forms.append(Form(effect, WARMING, inputs, rows, nonlinear=(parameter,), starts=grid))
+    forms.append(Form(effect, SLOW_WARMING, inputs, rows, nonlinear=(parameter,), starts=grid, scan=False))
     low, high = max(2 * survey.interval_s, survey.duration_s / 300), survey.duration_s
     lag = NonLinear("lag", low, high)
     starts = tuple((float(value),) for value in np.geomspace(low, high / 2, 6))
     forms.extend(
-        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), {}, (lag,), starts, log_odds=odds + LAG)
+        Form(effect, LAGGED, (name, survey.time_column, *extra_inputs), {}, (lag,), starts, log_odds=odds)
         for name, odds in one_of.items()
     )
     return tuple(forms)
@@ -109,11 +97,6 @@ def column_odds(survey: Survey, likely: tuple[str, ...] = ()) -> dict[str, float
     if first and len(first) < len(names):
         weight = {name: 0.5 / (len(first) if name in first else len(names) - len(first)) for name in names}
     return {name: math.log(weight[name]) for name in names}
-
-
-def course_odds(survey: Survey) -> float:
-    """Prior log odds of a course of time since the start."""
-    return LAG + UNMEASURED - math.log(len(survey.temperatures)) if survey.temperatures else 0.0
 
 
 def time_of_rows(survey: Survey) -> dict[str, float]:

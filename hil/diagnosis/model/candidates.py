@@ -1,6 +1,6 @@
 """The candidates: every effect of a catalogue on its grids, as columns beside the table, each with its prior.
 
-The prior over a grid is even, so the evidence of an effect is its mean over the grid: Occam's factor, and no further rule.
+The evidence of an effect is its mean over the grid, weighted by the prior of its parameters: Occam's factor, and no further rule.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Table:
         return np.asarray(axes[:, size > SAME * size[0]] * math.sqrt(len(both)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Grid:
     """A form of an effect at its grid points: its columns, one a row, (G·k, n), in single precision; absorbed: see `Candidate`."""
 
@@ -87,6 +87,12 @@ class Grid:
     @property
     def k(self) -> int:
         return len(self.rows) // len(self.thetas)
+
+    @cached_property
+    def log_prior(self) -> Floats:
+        """Of each point, together 1: even, but for parameters with a usual value, (G,)."""
+        own = np.array([self.form.log_prior(theta) for theta in self.thetas])
+        return np.asarray(own - np.logaddexp.reduce(own))
 
 
 @dataclass(frozen=True)
@@ -158,10 +164,9 @@ class Catalogue:
         return (False, True) if self.rows.is_declared and not effect.static else (False,)
 
     def prior(self, effect: Effect, form: Form) -> float:
-        """Log prior odds of a form; those of forms with parameters are paid by their grid, and a shape with a mean is two."""
-        own = 0.0 if form.nonlinear else form.log_odds
+        """Log prior odds of a form; a shape with a mean is two."""
         alike = math.log(len(self._ways(effect)))
-        return effect.log_odds + own - alike - USUAL.richer * ((not form.scan) + (effect.id in self._varying))
+        return effect.log_odds + form.log_odds - alike - USUAL.richer * ((not form.scan) + (effect.id in self._varying))
 
     def part(self, candidate: Candidate, log_prior: float) -> Part:
         """A candidate as a part of the model."""
@@ -196,7 +201,7 @@ class Catalogue:
     def ranked(self, fits: Sequence[Fit]) -> list[Ranked]:
         """Each form by each column at its best beside fits of the same parts, the best first."""
         top = max(fit.log_p for fit in fits)
-        found: dict[int, Ranked] = {}
+        found: dict[Grid, Ranked] = {}
         for fit in fits:
             for same in self._by_width:
                 gains = np.concatenate([fit.gains(grid.rows, grid.k, grid) for grid in same])
@@ -204,8 +209,8 @@ class Catalogue:
                 for grid in same:
                     one = self._best(grid, fit, gains[at : at + len(grid.thetas)], fit.log_p - top)
                     at += len(grid.thetas)
-                    if id(grid) not in found or one.gain > found[id(grid)].gain:
-                        found[id(grid)] = one
+                    if grid not in found or one.gain > found[grid].gain:
+                        found[grid] = one
         wandering = [self._wandering(one, fits, top) for one in self.wandering]
         return sorted([*found.values(), *wandering], key=lambda one: -one.gain)
 
@@ -216,8 +221,9 @@ class Catalogue:
         return Ranked(fit.log_p - top + gain + prior, self.part(replace(one, ratio=ratio), prior), fit)
 
     def _best(self, grid: Grid, fit: Fit, gains: Floats, behind: float) -> Ranked:
-        at = int(np.argmax(gains))
-        occam = float(np.logaddexp.reduce(gains) - gains[at]) - math.log(len(gains))
+        weighted = gains + grid.log_prior
+        at = int(np.argmax(weighted))
+        occam = float(np.logaddexp.reduce(weighted) - gains[at])
         prior = occam + self.prior(grid.effect, grid.form)
         part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at], absorbed=grid.absorbed), prior)
         return Ranked(behind + float(gains[at]) + prior, part, fit)
@@ -237,8 +243,7 @@ class Catalogue:
 
         def value(z: Floats) -> float:
             trial = at(z)
-            prior = sum(p.log_prior(value) for p, value in zip(one.form.nonlinear, trial.theta, strict=True))
-            return fit.gain(self._columns(trial)) + prior
+            return fit.gain(self._columns(trial)) + one.form.log_prior(trial.theta)
 
         best, most, step = start, value(start), _spacing(one.form, start, logs) / 2.0
         for _ in range(ROUNDS):

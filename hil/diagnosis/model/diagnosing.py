@@ -194,7 +194,7 @@ class Case:
 
     def _left_out(self, parts: tuple[Part, ...]) -> Floats:
         """What these parts all together leave on runs left out; about each run's mean beside a cause that no run predicts."""
-        terms = {id(part): self.verdict.terms[id(part)] for part in parts if not part.is_remainder}
+        terms = {part: self.verdict.terms[part] for part in parts if not part.is_remainder}
         left = Force(self.search.fit(parts), terms).left_out_um(self.rows, self.folds)
         if any(term.effect.once for term in self.verdict.terms.values()):
             for index in np.unique(self.folds.of_all):
@@ -202,7 +202,7 @@ class Case:
                 left[mine] -= np.mean(left[mine])
         return left
 
-    def _bounded(self, live: Mapping[int, Term]) -> dict[int, Term]:
+    def _bounded(self, live: Mapping[Part, Term]) -> dict[Part, Term]:
         """The terms, of which those by a temperature that is not sure go no further than it went on these rows."""
         sure = {f.effect: min(f.confidence, f.follows[0][1] if f.follows else 1.0) for f in self.findings}
         return {

@@ -11,7 +11,7 @@ and L the Cholesky factor of the bordered Gram matrix [A C y]'[A C y] + ridge:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -31,8 +31,6 @@ LOWEST = np.array([-7.0, -7.0, -5.0])
 HIGHEST = np.array([7.0, 7.0, 7.0])
 """Bounds of the log standard deviations of the table's two parts and of the runs' offsets, over the white noise."""
 START = np.array([1.0, 0.0, -1.5])
-LONG_MEMORY = 0.85
-"""Correlation from row to row beyond which memory is an offset for most of a run, and has the prior of one."""
 LEAST_LEFT = 1e-4
 """Share of a column's squares that must be left beside everything else for it to count, in single precision."""
 RATIOS = 10.0 ** np.arange(-3.0, 4.1, 0.5)
@@ -48,18 +46,17 @@ class Noise:
 
     @property
     def log_prior(self) -> float:
-        scale = USUAL.memory if self.memory.rho <= LONG_MEMORY else USUAL.offset
-        offset = math.exp(float(self.log_sd[OFFSET])) / USUAL.offset
-        return -0.5 * (self.memory.ar / scale) ** 2 - math.log1p(offset**2)
+        offset = math.exp(float(self.log_sd[OFFSET])) / USUAL.correlated
+        return -0.5 * (self.memory.ar / USUAL.correlated) ** 2 - math.log1p(offset**2)
 
     @property
     def has_large_offsets(self) -> bool:
         """Whether the runs' offsets are beyond the scale of their prior: a cause may be all of them."""
-        return math.exp(float(self.log_sd[OFFSET])) > USUAL.offset
+        return math.exp(float(self.log_sd[OFFSET])) > USUAL.correlated
 
     def with_usual_offsets(self) -> Noise:
         """The same with offsets of the scale of their prior."""
-        return replace(self, log_sd=np.minimum(self.log_sd, np.array([np.inf, np.inf, math.log(USUAL.offset)])))
+        return replace(self, log_sd=np.minimum(self.log_sd, np.array([np.inf, np.inf, math.log(USUAL.correlated)])))
 
     def smoother(self) -> Noise:
         """The same with a table of a fifth of its roughness."""
@@ -119,17 +116,21 @@ def _log_bayes_slope(left: float, dof: float, k: int, n: int) -> float:
 
 @dataclass(frozen=True)
 class Columns:
-    """What the parts bring: random R, fixed, and free C, side by side, with their counts."""
+    """What the parts bring: r random columns R, then k fixed and free ones C, (n, r + k)."""
 
     all: Floats
     r: int
-    f: int
-    k: int
 
     @classmethod
     def of(cls, parts: Sequence[Part], n: int) -> Columns:
-        groups = [side_by_side([getattr(p, kind) for p in parts], n) for kind in ("random", "fixed", "free")]
-        return cls(np.hstack(groups), *(group.shape[1] for group in groups))
+        random, fixed, free = (
+            side_by_side([getattr(p, kind) for p in parts], n) for kind in ("random", "fixed", "free")
+        )
+        return cls(np.hstack([random, fixed, free]), random.shape[1])
+
+    def among(self, base: Floats, own: Floats, q: int) -> Floats:
+        """Columns in the order Z R X C: q random and the fixed ones of the rows, and those of the parts."""
+        return np.hstack([base[:, :q], own[:, : self.r], base[:, q:], own[:, self.r :]])
 
 
 class Profile:
@@ -138,45 +139,46 @@ class Profile:
     def __init__(self, rows: Rows, columns: Columns, memory: Memory) -> None:
         self.rows, self.memory = rows, memory
         white = rows.whitened(memory)
-        extra = rows.white(columns.all, memory)
-        q, x = rows.random.shape[1], rows.fixed.shape[1]
-        self.r, self.k = columns.r, columns.f + columns.k
-        m = q + x + columns.all.shape[1]
-        base = np.concatenate([np.arange(q), q + self.r + np.arange(x)])
-        own = np.concatenate([q + np.arange(self.r), q + self.r + x + np.arange(self.k)])
-        gram = np.zeros((m + 1, m + 1))
-        gram[np.ix_(base, base)] = white.gram
-        gram[np.ix_(own, base)] = extra.T @ white.base
-        gram[np.ix_(base, own)] = gram[np.ix_(own, base)].T
-        gram[np.ix_(own, own)] = extra.T @ extra
-        gram[-1, base] = gram[base, -1] = white.cross
-        gram[-1, own] = gram[own, -1] = extra.T @ white.y
-        gram[-1, -1] = white.yy
+        own = rows.white(columns.all, memory)
+        q, x, m = rows.random.shape[1], rows.fixed.shape[1], len(white.gram) + own.shape[1]
+        self.random, self.k = q + columns.r, own.shape[1] - columns.r
+        self.p, self.dof = m - self.k, rows.n - x
+        self.of_rows = np.zeros(m, dtype=np.bool_)
+        self.of_rows[:q] = self.of_rows[self.random : self.p] = True
+        self.white, self.y, self._log_noise = columns.among(white.base, own, q), white.y, white.log_noise
+        gram = np.empty((m + 1, m + 1))
+        at, its = np.flatnonzero(self.of_rows), np.flatnonzero(~self.of_rows)
+        gram[np.ix_(at, at)] = white.gram
+        gram[its, :-1] = own.T @ self.white
+        gram[:-1, its] = gram[its, :-1].T
+        gram[-1, :-1] = gram[:-1, -1] = self.y @ self.white
+        gram[-1, -1] = self.y @ self.y
         gram[np.arange(m), np.arange(m)] *= 1.0 + 1e-10
-        self._gram, self._random, self.p = gram, q + self.r, m - self.k
-        self.dof = rows.n - x
-        self._log_noise = white.log_noise
+        self._gram = gram
 
     def ridge(self, log_sd: Floats) -> Floats:
         """Inverse variances of the random columns."""
         own = np.exp(-2.0 * np.append(log_sd, [0.0, 0.0])[self.rows.group])
-        return np.concatenate([own, np.ones(self.r)])
+        return np.concatenate([own, np.ones(self.random - len(own))])
+
+    def gram(self, log_sd: Floats) -> Floats:
+        """Products of the columns and, last, the errors, with the ridge, (m + 1, m + 1)."""
+        gram, at = self._gram.copy(), np.arange(self.random)
+        gram[at, at] += self.ridge(log_sd)
+        return gram
 
     def value(self, log_sd: Floats) -> tuple[float, Floats]:
         """Log evidence without the priors of the parts, and its gradient, (3,)."""
         ridge, p, k = self.ridge(log_sd), self.p, self.k
-        gram = self._gram.copy()
-        at = np.arange(self._random)
-        gram[at, at] += ridge
         try:
-            lower = np.linalg.cholesky(gram)
+            lower = np.linalg.cholesky(self.gram(log_sd))
         except np.linalg.LinAlgError:
             return -1e9, np.zeros(3)
         diagonal, last = np.diag(lower), lower[-1, :-1]
         rss = float(diagonal[-1]) ** 2
         rss_0 = rss + float(last[p:] @ last[p:])
         inverse = inverse_of_lower(lower[:-1, :-1])
-        in_a = inverse[:p, : self._random]
+        in_a = inverse[:p, : self.random]
         b_0 = last[:p] @ in_a
         noise = Noise(self.memory, log_sd)
         logs = 2.0 * float(np.sum(np.log(diagonal[:p]))) - float(np.sum(np.log(ridge)))
@@ -185,14 +187,14 @@ class Profile:
         if k:
             left = rss / rss_0
             value += float(log_bayes(np.array(left), self.dof, k, self.rows.n))
-            b = last @ inverse[:, : self._random]
+            b = last @ inverse[:, : self.random]
             d_left = -2.0 * ridge * (b**2 - left * b_0**2) / rss_0
             slope = slope + _log_bayes_slope(left, self.dof, k, self.rows.n) * d_left
         gradient = np.zeros(3)
         own = slope[: len(self.rows.group)]
         for group in range(3):
             gradient[group] = np.sum(own[self.rows.group == group])
-        offset = (math.exp(float(log_sd[OFFSET])) / USUAL.offset) ** 2
+        offset = (math.exp(float(log_sd[OFFSET])) / USUAL.correlated) ** 2
         gradient[OFFSET] -= 2.0 * offset / (1.0 + offset)
         return value, gradient
 
@@ -233,26 +235,16 @@ class Fit:
         columns = Columns.of(parts, rows.n)
         profile = Profile(rows, columns, noise.memory)
         self.log_p = profile.value(noise.log_sd)[0] + _prior(parts)
-        q, x, r = rows.random.shape[1], rows.fixed.shape[1], columns.r
-        order = np.concatenate(
-            [np.arange(q), q + x + np.arange(r), q + np.arange(x), q + x + np.arange(r, columns.all.shape[1])]
-        )
-        self.design = np.hstack([rows.random, rows.fixed, columns.all])[:, order]
-        self._r, self._x, self._q = r, x, q
-        self._base = order < q + x
-        white = rows.whitened(noise.memory)
-        own = rows.white(columns.all, noise.memory)
-        self.white = np.hstack([white.base, own])[:, order]
-        self.y = white.y
-        self.ridge = np.concatenate([profile.ridge(noise.log_sd), np.zeros(self.white.shape[1] - q - r)])
-        gram = self.white.T @ self.white
-        gram[np.diag_indices(len(gram))] += self.ridge
-        gram[np.diag_indices(len(gram))] *= 1.0 + 1e-10
-        self.inverse = inverse_of_lower(np.linalg.cholesky(gram))
-        self.beta = np.asarray(self.inverse.T @ (self.inverse @ (self.white.T @ self.y)))
+        self._q, self._r, self._x = rows.random.shape[1], columns.r, rows.fixed.shape[1]
+        self.design = columns.among(np.hstack([rows.random, rows.fixed]), columns.all, self._q)
+        self.white, self.y, self._base = profile.white, profile.y, profile.of_rows
+        self.ridge = np.append(profile.ridge(noise.log_sd), np.zeros(self.white.shape[1] - profile.random))
+        gram = profile.gram(noise.log_sd)
+        self.inverse = inverse_of_lower(np.linalg.cholesky(gram[:-1, :-1]))
+        self.beta = np.asarray(self.inverse.T @ (self.inverse @ gram[:-1, -1]))
         self.rest = self.y - self.white @ self.beta
         self.rss = float(self.y @ self.rest)
-        self.dof = max(rows.n - x - columns.f - columns.k, 1)
+        self.dof = max(profile.dof - profile.k, 1)
 
     @property
     def sigma(self) -> float:
@@ -337,14 +329,14 @@ class Fit:
         left = 1.0 - float(b @ np.linalg.solve(a, b)) / self.rss
         return float(log_bayes(np.array(left), self.dof, len(b), self.rows.n))
 
-    def gains(self, rows: Singles, k: int, of: object = None) -> Floats:
+    def gains(self, rows: Singles, k: int, of: Hashable = None) -> Floats:
         """The same of groups of k columns, one a row, (G·k, n): (G,); in single precision; of: see `Rows.reduced`."""
         a, whole, b = self._products(rows, k, of)
         a = a + np.eye(k) * (LEAST_LEFT * np.max(whole, axis=1)[:, None, None] + 1e-20)
         solved = b / a[:, 0] if k == 1 else np.linalg.solve(a, b[:, :, None])[:, :, 0]
         return log_bayes(1.0 - np.sum(b * solved, axis=1) / self.rss, self.dof, k, self.rows.n)
 
-    def _products(self, rows: Singles, k: int, of: object) -> tuple[Floats, Floats, Floats]:
+    def _products(self, rows: Singles, k: int, of: Hashable) -> tuple[Floats, Floats, Floats]:
         """Of groups of k columns beside the fit: matrices (G, k, k), their diagonals without the fit (G, k), right sides (G, k)."""
         reduced = self.rows.reduced(rows, k, self.noise.memory, of)
         by_design = np.empty((len(rows), self.white.shape[1]), dtype=np.float32)
@@ -367,7 +359,7 @@ class Fit:
         gain, ratio = self._of_random(a[None], b[None])
         return float(gain[0]), float(ratio[0])
 
-    def random_gains(self, rows: Singles, k: int, of: object = None) -> Floats:
+    def random_gains(self, rows: Singles, k: int, of: Hashable = None) -> Floats:
         """The gains of groups of k random columns, one a row, (G·k, n): (G,); in single precision."""
         a, _, b = self._products(rows, k, of)
         return self._of_random(a, b)[0]

@@ -46,10 +46,10 @@ class Folds:
 
 @dataclass(frozen=True)
 class Force:
-    """A fit, and by the id of its part each term of it that is in force, with this share of its coefficients."""
+    """A fit, and by its part each term of it that is in force, with this share of its coefficients."""
 
     fit: Fit
-    live: Mapping[int, Term]
+    live: Mapping[Part, Term]
     share: float = 1.0
 
     def model(self) -> Model:
@@ -58,7 +58,7 @@ class Force:
         """
         return self._model(self.fit, self.live, uncertain=True)
 
-    def _model(self, fit: Fit, live: Mapping[int, Term], *, uncertain: bool) -> Model:
+    def _model(self, fit: Fit, live: Mapping[Part, Term], *, uncertain: bool) -> Model:
         rows = fit.rows
         at = fit.of_table()
         coefficients = fit.beta[at].copy()
@@ -67,7 +67,7 @@ class Force:
             if part.is_remainder:
                 rest += fit.course_um(part)
             else:
-                share = self.share if id(part) in live else 0.0
+                share = self.share if part in live else 0.0
                 coefficients[0] += (1.0 - share) * float(np.mean(fit.course_um(part)))
         if np.any(rest):
             coefficients += fit.held(rest)
@@ -82,10 +82,10 @@ class Force:
         fit = Fit(self.fit.rows.with_scale(scale), self.fit.parts, self.fit.noise)
         live = {}
         for part in self.fit.parts:
-            if id(part) in self.live and part.of is not None:
+            if part in self.live and part.of is not None:
                 kind, factor = ("random", part.of.ratio**0.5) if part.of.form.shrunk else ("free", 1.0)
                 beta = fit.beta[fit.where(part, kind)] * factor * self.share
-                live[id(part)] = replace(self.live[id(part)], coefficients=tuple(beta.tolist()))
+                live[part] = replace(self.live[part], coefficients=tuple(beta.tolist()))
         return self._model(fit, live, uncertain=False)
 
     def left_out_um(self, rows: AllRows, folds: Folds) -> Floats:
@@ -117,9 +117,9 @@ def _with_held(table: PitchTable, fit: Fit) -> PitchTable:
     return replace(table, forward_um=forward, backward_um=backward)
 
 
-def compensated(parts: Sequence[Part], terms: Mapping[int, Term]) -> dict[int, Term]:
+def compensated(parts: Sequence[Part], terms: Mapping[Part, Term]) -> dict[Part, Term]:
     """The terms of effects that a machine is compensated for."""
-    found = {id(part): terms[id(part)] for part in parts if id(part) in terms}
+    found = {part: terms[part] for part in parts if part in terms}
     return {key: term for key, term in found.items() if term.effect.action_for(term) is Action.COMPENSATE}
 
 

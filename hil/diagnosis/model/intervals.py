@@ -32,9 +32,9 @@ EVEN, DRAWN = 16, 40
 """Ways out with two non-linear parameters, evenly, and with more, at random."""
 
 
-def terms_of(fit: Fit) -> dict[int, Term]:
-    """The term of each effect of a fit, by the id of its part, with the covariance of coefficients and parameters."""
-    return {id(part): _term(fit, part) for part in fit.parts if part.of is not None}
+def terms_of(fit: Fit) -> dict[Part, Term]:
+    """The term of each effect of a fit, by its part, with the covariance of coefficients and parameters."""
+    return {part: _term(fit, part) for part in fit.parts if part.of is not None}
 
 
 def _term(fit: Fit, part: Part) -> Term:
@@ -99,8 +99,7 @@ class _Region:
 
     def _height(self, theta: Sequence[float]) -> float:
         """Twice the log likelihood, up to a constant, with the prior of the parameters."""
-        prior = sum(p.log_prior(value) for p, value in zip(self.one.form.nonlinear, theta, strict=True))
-        return self._solved(theta)[0] / self.variance + 2.0 * prior
+        return self._solved(theta)[0] / self.variance + 2.0 * self.one.form.log_prior(theta)
 
     @cached_property
     def _best(self) -> float:

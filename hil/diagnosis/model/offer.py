@@ -68,7 +68,7 @@ class Offer:
     def _with(self, diagnosis: Diagnosis, smooth: Sequence[Part]) -> Diagnosis:
         fit = self.search.fit([*(part for part in self.force.fit.parts if not part.is_remainder), *smooth])
         terms = terms_of(fit)
-        fitted = {id(part): _plain(terms[id(part)]) for part in smooth}
+        fitted = {part: _plain(terms[part]) for part in smooth}
         live = {key: term for key, term in terms.items() if key in self.force.live}
         taken, whole = Force(fit, {**live, **fitted}), Force(fit, terms)
         left_um = taken.left_out_um(self.rows, self.folds)

@@ -178,7 +178,7 @@ class Screen:
         return np.argsort(-explained)[:most].astype(np.int64)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Block:
     """A random function of columns: products of functions of one column, (K, n), and of another, (L, n), with a sign, (n,).
 
@@ -336,13 +336,13 @@ class Remainder:
                 yield Block.of((place.name, "row_order"), along, mine)
 
     @cached_property
-    def _batches(self) -> list[list[Block]]:
+    def _batches(self) -> list[tuple[Block, ...]]:
         """All blocks, those of about as many columns together."""
         blocks = list(self._blocks())
-        found = []
+        found: list[tuple[Block, ...]] = []
         for low, k in itertools.pairwise((0, *WIDTHS)):
             mine = [one for one in blocks if low < one.width <= k]
-            found += [mine[i : i + TOGETHER] for i in range(0, len(mine), TOGETHER)]
+            found += [tuple(mine[i : i + TOGETHER]) for i in range(0, len(mine), TOGETHER)]
         return found
 
     def best(self, fit: Fit, kept: int = 3) -> list[Ranked]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -56,13 +56,11 @@ MEMORIES = (
 
 @dataclass(frozen=True)
 class Whitened:
-    """Columns and errors over the noise of their rows: base (n, q + f), y (n,), their products, log determinant of the noise."""
+    """Columns and errors over the noise of their rows: base (n, q + f), its products, y (n,), log determinant of the noise."""
 
     base: Floats
-    y: Floats
     gram: Floats
-    cross: Floats
-    yy: float
+    y: Floats
     log_noise: float
 
 
@@ -101,14 +99,10 @@ class Given:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Groups of k columns under a memory: their products (G, k, k), and those with the base (G·k, q + f), in single precision.
-
-    of: what they are the columns of, kept so that its identity stays its own
-    """
+    """Groups of k columns under a memory: their products (G, k, k), and those with the base (G·k, q + f), in single precision."""
 
     products: Singles
     by_base: Singles
-    of: object
 
 
 class Rows:
@@ -131,7 +125,7 @@ class Rows:
         kinds = [EVEN, ODD, OFFSET, GIVEN, *[KNOWN] * (len(parts) - 4)]
         self.group: Ints = np.repeat(kinds, widths).astype(np.int64)
         self._white: dict[Memory, Whitened] = {}
-        self._reduced: dict[tuple[int, Memory], Reduced] = {}
+        self._reduced: dict[tuple[Hashable, Memory], Reduced] = {}
         self._roots: dict[tuple[int, Memory], Floats] = {}
 
     @property
@@ -200,9 +194,9 @@ class Rows:
                 out[rows] = self._root(rows.stop - rows.start, memory).T @ values[rows]
         return np.asarray((out.T / self.scale).T)
 
-    def reduced(self, rows: Singles, k: int, memory: Memory, of: object = None) -> Reduced:
-        """Groups of k columns, one a row, (G·k, n); of: what is kept with them for the next time, None for nothing."""
-        key = id(of), memory
+    def reduced(self, rows: Singles, k: int, memory: Memory, of: Hashable = None) -> Reduced:
+        """Groups of k columns, one a row, (G·k, n); of: what they are the columns of, kept for the next time; None for nothing."""
+        key = of, memory
         if of is None or key not in self._reduced:
             base = self.whitened(memory).base.astype(np.float32)
             size = k * max(MOST_BYTES // (4 * k * self.n), 1)
@@ -212,7 +206,7 @@ class Rows:
                 groups = white.reshape(-1, k, self.n)
                 products.append(groups @ groups.transpose(0, 2, 1))
                 by_base.append(white @ base)
-            found = Reduced(np.concatenate(products), np.concatenate(by_base), of)
+            found = Reduced(np.concatenate(products), np.concatenate(by_base))
             if of is None:
                 return found
             self._reduced[key] = found
@@ -227,14 +221,15 @@ class Rows:
             if memory.ar:
                 roots = (self._root(rows.stop - rows.start, memory) for rows in self.stretches)
                 log_noise -= 2.0 * sum(float(np.sum(np.log(np.diag(root)))) for root in roots)
-            self._white[memory] = Whitened(base, y, base.T @ base, base.T @ y, float(y @ y), log_noise)
+            self._white[memory] = Whitened(base, base.T @ base, y, log_noise)
         return self._white[memory]
 
 
 def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
     """Relative standard deviation of each row's noise, (n,), geometric mean 1, from what a fit leaves.
 
-    Robust, by run, speed and quarter of the travel, each drawn towards 1; times Student's weights where the tails are heavy.
+    Robust, by run, speed and quarter of the travel; where the tails are heavy by row too, which are Student's weights. Each variance
+    has a scaled inverse χ² prior about 1.
     """
     size = np.abs(residual)
     usual = max(float(np.median(size)), 1e-12)
@@ -245,15 +240,15 @@ def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
         for one in np.unique(group):
             mine = group == one
             own, count = float(np.median(size[mine] / scale[mine])) / usual, float(np.sum(mine))
-            scale[mine] *= math.sqrt((count * own**2 + USUAL.pseudo_rows) / (count + USUAL.pseudo_rows))
+            scale[mine] *= math.sqrt((count * own**2 + USUAL.dof) / (count + USUAL.dof))
     z = residual / scale
     z = z / max(1.4826 * float(np.median(np.abs(z))), 1e-12)
     sd = max(float(np.std(z)), 1e-12)
     normal = float(np.sum(-0.5 * (z / sd) ** 2)) - len(z) * math.log(sd * math.sqrt(2.0 * math.pi))
-    peak = math.lgamma((USUAL.tail + 1.0) / 2.0) - math.lgamma(USUAL.tail / 2.0) - 0.5 * math.log(USUAL.tail * math.pi)
-    student = len(z) * peak - 0.5 * (USUAL.tail + 1.0) * float(np.sum(np.log1p(z * z / USUAL.tail)))
+    peak = math.lgamma((USUAL.dof + 1.0) / 2.0) - math.lgamma(USUAL.dof / 2.0) - 0.5 * math.log(USUAL.dof * math.pi)
+    student = len(z) * peak - 0.5 * (USUAL.dof + 1.0) * float(np.sum(np.log1p(z * z / USUAL.dof)))
     if student > normal + USUAL.named:
-        scale = scale * np.sqrt((USUAL.tail + z**2) / (USUAL.tail + 1.0))
+        scale = scale * np.sqrt((USUAL.dof + z**2) / (USUAL.dof + 1.0))
     return np.asarray(scale / np.exp(np.mean(np.log(scale))))
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,13 +17,14 @@ from hil.diagnosis.model.rows import Rows
 from hil.effects import Effect, Term
 
 MOST_PARTS = 6
-NEAR = 12.0
+NEAR = 8.0
 """Log odds below the best candidate down to which others are followed."""
 SAME_NOISE = 4.0
 """Log odds below the best memory from which another one is no longer asked."""
 FEWEST_RUNS = 3
 """Runs from which a function of the place must show in more than one of them."""
-FOLLOWED, REFINED = 6, 8
+REFINED, FOLLOWED = (8, 3), (6, 2)
+"""Most candidates whose parameters are refined, and most whose evidence is computed, and how many of them of one effect."""
 
 
 @dataclass(frozen=True)
@@ -55,18 +55,16 @@ class Search:
         self, rows: Rows, catalogue: Catalogue, remainder: Remainder | None, kept: Sequence[Part] = ()
     ) -> None:
         self.rows, self.catalogue, self.remainder = rows, catalogue, remainder
-        self.kept = frozenset(map(id, kept))
-        self._tried: dict[frozenset[int], list[Alternative]] = {}
-        self._left: dict[frozenset[int], list[Alternative]] = {}
-        self._scored: dict[frozenset[int], list[Scored]] = {}
-        self._refinements: dict[int, Ranked] = {}
-        self._held: list[tuple[Part, ...]] = []
+        self.kept = frozenset(kept)
+        self._tried: dict[frozenset[Part], list[Alternative]] = {}
+        self._left: dict[frozenset[Part], list[Alternative]] = {}
+        self._scored: dict[frozenset[Part], list[Scored]] = {}
+        self._refinements: dict[Part, Ranked] = {}
 
     def scored(self, parts: Sequence[Part]) -> list[Scored]:
         """As `score`, made once."""
-        key = frozenset(map(id, parts))
+        key = frozenset(parts)
         if key not in self._scored:
-            self._held.append(tuple(parts))
             self._scored[key] = score(self.rows, parts)
         return self._scored[key]
 
@@ -92,57 +90,31 @@ class Search:
         return sorted(found, key=lambda one: -one.log_p)
 
     def _of_effects(self, parts: Sequence[Part]) -> list[Alternative]:
-        key = frozenset(map(id, parts))
+        key = frozenset(parts)
         if key not in self._tried:
-            self._held.append(tuple(parts))
             self._tried[key] = [self.with_part(parts, part, near) for part, near in self._effects(self._fits(parts))]
         return self._tried[key]
 
     def _of_remainder(self, parts: Sequence[Part], remainder: Remainder) -> list[Alternative]:
-        key = frozenset(map(id, parts))
+        key = frozenset(parts)
         if key not in self._left:
-            self._held.append(tuple(parts))
             ranked = remainder.best(self.fit(parts), kept=2)
             self._left[key] = [self.with_part(parts, one.part, one.fit.noise) for one in ranked]
         return self._left[key]
 
     def _effects(self, fits: Sequence[Fit]) -> list[tuple[Part, Noise]]:
-        """The effects that come near the best, each in its two likeliest forms."""
-        ranked = self.catalogue.ranked(fits)
-        if not ranked:
-            return []
-        best = ranked[0].gain
-        chosen: list[Ranked] = []
-        count: Counter[str] = Counter()
-        for one in ranked:
-            if one.gain < best - NEAR or len(chosen) >= REFINED:
-                break
-            if count[one.part.name] < 3:
-                count[one.part.name] += 1
-                chosen.append(one)
-        trials: list[Ranked] = []
-        for one in chosen:
-            own = self._refined(one) if one.gain > best - 0.75 * NEAR else one
-            trials.append(own)
-            if one.gain > best - 0.5 * NEAR:
-                trials += [_as_good_as(own, rich) for rich in self.catalogue.richer(own.part, own.fit)]
-        trials.sort(key=lambda one: -one.gain)
-        count.clear()
-        kept: list[tuple[Part, Noise]] = []
-        for one in trials:
-            if one.gain > trials[0].gain - 2 * NEAR / 3 and count[one.part.name] < 2 and len(kept) < FOLLOWED:
-                count[one.part.name] += 1
-                kept.append((self._refined(one).part if one not in chosen else one.part, one.fit.noise))
-        return kept
+        """The effects that come near the best, each in its likeliest forms."""
+        near = [self._refined(one) for one in _nearest(self.catalogue.ranked(fits), *REFINED)]
+        near += [_as_good_as(one, rich) for one in near for rich in self.catalogue.richer(one.part, one.fit)]
+        best = _nearest(sorted(near, key=lambda one: -one.gain), *FOLLOWED)
+        return [(self._refined(one).part, one.fit.noise) for one in best]
 
     def _refined(self, one: Ranked) -> Ranked:
         """With its non-linear parameters where the evidence is highest."""
-        key = id(one.part)
-        if key not in self._refinements:
-            self._held.append((one.part,))
-            self._refinements[key] = _as_good_as(one, self.catalogue.refined(one.part, one.fit))
-            self._refinements[id(self._refinements[key].part)] = self._refinements[key]
-        return self._refinements[key]
+        if one.part not in self._refinements:
+            found = _as_good_as(one, self.catalogue.refined(one.part, one.fit))
+            self._refinements[one.part] = self._refinements[found.part] = found
+        return self._refinements[one.part]
 
     def with_part(self, parts: Sequence[Part], part: Part, near: Noise) -> Alternative:
         """The evidence with a further part: less likely as a second term of an effect, and with physics out of its range."""
@@ -222,7 +194,7 @@ class Search:
         """The parts without those that are not worth it beside the others, and with likelier ones in the place of some."""
         current = tuple(parts)
         for _ in range(3):
-            others = (part for part in current if id(part) not in self.kept)
+            others = (part for part in current if part not in self.kept)
             changed = next((one for part in others if (one := self._without_or_other(current, part)) is not None), None)
             if changed is None:
                 return current
@@ -257,6 +229,16 @@ class Search:
                 if part not in trial and self.scored(trial)[0].log_p > worth:
                     return trial
         return None
+
+
+def _nearest(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:
+    """Those that come near the first, of each effect the likeliest."""
+    found: list[Ranked] = []
+    for one in ranked:
+        mine = sum(other.part.name == one.part.name for other in found)
+        if one.gain > ranked[0].gain - NEAR and mine < of_one and len(found) < most:
+            found.append(one)
+    return found
 
 
 def _is_flexible(part: Part) -> bool:

@@ -23,6 +23,8 @@ Floats = NDArray[np.float64]
 WAVES = np.arange(1.0, 9.0)
 """Half periods over the campaign of a course that drifts."""
 SET, DRIFTING = "set for each run", "drifting"
+UNKNOWN = math.log(2.0)
+"""Log odds against such a cause: the quantity changed during the campaign, or did not, with even odds."""
 OFFSET, ALONG, REVERSAL, REVERSAL_ALONG, ABOUT_A_POINT = "1", "u", "d", "du", "1 and u"
 
 
@@ -88,7 +90,7 @@ def unlogged(fit: Fit, recorded: Collection[str]) -> Iterator[tuple[str, float]]
                 columns = course[kind[0]][:, :, None] * factor[kind[1]][:, None, :]
                 known[kind] = fit.random_gain(columns.reshape(len(columns), -1))[0]
         if kinds:
-            yield effect, fit.log_p + max(known[kind] for kind in kinds) - math.log(len(kinds)) - USUAL.unlogged
+            yield effect, fit.log_p + max(known[kind] for kind in kinds) - math.log(len(kinds)) - UNKNOWN
 
 
 def share_of(odds: Mapping[str, float]) -> dict[str, float]:

@@ -15,7 +15,7 @@ from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rivals import not_told_apart, separating, to_switch
 from hil.diagnosis.model.search import Found, Search
-from hil.diagnosis.model.unlogged import columns_of, share_of, unlogged
+from hil.diagnosis.model.unlogged import UNKNOWN, columns_of, share_of, unlogged
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.effects import Estimate, Term
 
@@ -50,7 +50,7 @@ class Verdict:
 
     def course_um(self, name: str) -> Floats:
         """What an effect contributes to each row, µm, (n,)."""
-        return np.asarray(sum(self.terms[id(part)].error_um(self.campaign.columns) for part in self.groups[name]))
+        return np.asarray(sum(self.terms[part].error_um(self.campaign.columns) for part in self.groups[name]))
 
     def findings(self) -> tuple[Finding, ...]:
         """The findings, largest first. Beside a remainder a name is as sure as its share of the power."""
@@ -68,13 +68,13 @@ class Verdict:
 
     def _finding(self, name: str) -> Finding:
         parts = self.groups[name]
-        term, *more = (self.terms[id(part)] for part in parts)
+        term, *more = (self.terms[part] for part in parts)
         whole = self.course_um(name)
         size = float(np.std(whole))
         beside = self.search.catalogue.table.held(whole[:, None])[:, 0]
         if term.effect.static and not self.search.rows.is_declared and len(parts) > 1 and not term.effect.several:
             size = float(np.std(whole - beside))
-        first = self.terms[id(parts[0])].error_um(self.campaign.columns)
+        first = self.terms[parts[0]].error_um(self.campaign.columns)
         k = len(term.coefficients)
         relative = _size_std(term, k, self.campaign) / max(float(np.std(first)), 1e-12)
         peak = float(np.max(np.abs(whole - np.mean(whole))))
@@ -106,9 +106,9 @@ class Verdict:
         odds = self._odds(self.groups[finding.effect][0])
         other = (*alike, *finding.term.effect.stands_for(finding.term.form))
         for name in other:
-            odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - USUAL.unlogged)
+            odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - UNKNOWN)
         if finding.is_implausible or self._switched(finding):
-            odds[OUTSIDE] = max(odds.get(OUTSIDE, -1e300), odds[finding.effect] - USUAL.unlogged)
+            odds[OUTSIDE] = max(odds.get(OUTSIDE, -1e300), odds[finding.effect] - UNKNOWN)
         return share_of(odds)
 
     def _switched(self, finding: Finding) -> str:
@@ -144,7 +144,7 @@ class Verdict:
             if one.part.name == part.name and key not in odds:
                 odds[key] = one.log_p
                 fit = Fit(self.search.rows, [*others, one.part], one.noise)
-                terms[key] = terms_of(fit)[id(one.part)]
+                terms[key] = terms_of(fit)[one.part]
         shares = share_of({"".join(key): value for key, value in odds.items()})
         found = [(terms[key], shares["".join(key)]) for key in odds if shares["".join(key)] > LEAST]
         return tuple(sorted(found, key=lambda one: -one[1])) if len(found) > 1 else ()
@@ -172,8 +172,8 @@ class Verdict:
         return tuple(sorted(found, key=lambda one: -one.rms.value))
 
     def _without(self, parts: Sequence[Part]) -> Scored:
-        gone = set(map(id, parts))
-        return self.search.scored([one for one in self.parts if id(one) not in gone])[0]
+        gone = set(parts)
+        return self.search.scored([one for one in self.parts if one not in gone])[0]
 
     def _is_form(self, part: Part, size_um: float) -> bool:
         """Whether a remainder is the error of the form of an effect in the same columns."""

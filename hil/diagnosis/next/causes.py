@@ -24,6 +24,7 @@ from hil.diagnosis.model.diagnosing import rows_of
 from hil.diagnosis.model.evidence import Candidate, Fit, Part
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.search import Search
+from hil.diagnosis.model.unlogged import UNKNOWN
 from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import time_column
 from hil.effects.model import Model
@@ -127,13 +128,13 @@ def _weigh_part(
     for unseen in unseen_causes(rows.campaign, effects):
         if _hidden(fits[0], unseen.design):
             continue
-        gain = max(fit.log_p + _gain(fit, unseen.design) for fit in fits) - fits[0].log_p - USUAL.unlogged
+        gain = max(fit.log_p + _gain(fit, unseen.design) for fit in fits) - fits[0].log_p - UNKNOWN
         name = unseen.effect.id
         if name not in found or gain > found[name].gain:
             found[name] = Hypothesis(unseen.effect, 0.0, gain, None, unseen)
     loose = found.get("beam_drift")
     if loose is not None:  # an unseen drift may follow any course that a drift may
-        gain = loose.gain - loose.effect.log_odds - USUAL.unlogged
+        gain = loose.gain - loose.effect.log_odds - UNKNOWN
         for name, one in found.items():
             if one.unseen is not None and one.unseen.wanders and one.gain < gain:
                 found[name] = replace(one, gain=gain)

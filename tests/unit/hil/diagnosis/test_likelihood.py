@@ -66,7 +66,7 @@ def fitted(rows: Rows, effect: Effect, form_name: str) -> tuple[Fit, Candidate, 
         part = catalogue.refined(part, bare)
     fit = Fit(rows, (part,), WHITE)
     assert part.of is not None
-    return fit, part.of, terms_of(fit)[id(part)]
+    return fit, part.of, terms_of(fit)[part]
 
 
 def searched(name: str, seed: int = 3) -> tuple[Fit, Candidate, Term]:
