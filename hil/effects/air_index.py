@@ -24,7 +24,6 @@ class AirIndex(Effect):
     id: ClassVar[str] = "air_index"
     title: ClassVar[str] = "air index not compensated"
     action: ClassVar[Action] = Action.FIX_SETUP
-    slow: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("thermal_expansion", "vary the air and the screw temperature apart"),
         Rival("dead_path", "compare both ends of the travel while the air changes"),

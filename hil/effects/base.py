@@ -188,8 +188,6 @@ class Effect(ABC):
     """A function of position and direction alone: a table measured after the cause appeared contains it already."""
     is_table: ClassVar[bool] = False
     """A smooth shape over the whole travel, as a correction table is one: a fit cannot tell its share from the table's own."""
-    slow: ClassVar[bool] = False
-    """Follows a temperature or the air, which change together over a campaign, so that one such effect may stand for two."""
     mean_of: ClassVar[str] = ""
     """Id of an effect that varies along the axis, whose mean this one is: beside it, it is no cause of its own."""
     several: ClassVar[bool] = False
@@ -200,8 +198,6 @@ class Effect(ABC):
     """Happens once, as a jump does, or wanders at random: no run predicts it in another, so runs left out are not asked about it."""
     log_odds: ClassVar[float] = 0.0
     """Prior log odds against the other effects; they decide where the records cannot."""
-    least_over_noise: ClassVar[float] = 0.0
-    """RMS, as a share of the noise's standard deviation, below which the effect is counted as part of the noise."""
 
     @abstractmethod
     def forms(self, survey: Survey) -> tuple[Form, ...]:

@@ -34,7 +34,6 @@ class BeamDrift(Effect):
     action: ClassVar[Action] = Action.FIX_SETUP
     once: ClassVar[bool] = True
     log_odds: ClassVar[float] = UNSTEADY
-    least_over_noise: ClassVar[float] = 0.7
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("thermal_drift", "log the temperatures, let the axis cool down and warm up again"),
         Rival("datum_step", "repeat a reference point several times within a run"),

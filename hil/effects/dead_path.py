@@ -24,7 +24,6 @@ class DeadPath(Effect):
     id: ClassVar[str] = "dead_path"
     title: ClassVar[str] = "dead path of the interferometer"
     action: ClassVar[Action] = Action.FIX_SETUP
-    slow: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("thermal_drift", "change the dead path: the drift changes with it, or not"),
         Rival("beam_drift", "log the air, and change the dead path"),

@@ -42,7 +42,6 @@ class ThermalDrift(Effect):
     id: ClassVar[str] = "thermal_drift"
     title: ClassVar[str] = "thermal drift of the origin"
     action: ClassVar[Action] = Action.COMPENSATE
-    slow: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival(
             "beam_drift",

@@ -57,7 +57,6 @@ class ThermalExpansion(Effect):
     id: ClassVar[str] = "thermal_expansion"
     title: ClassVar[str] = "thermal expansion of screw or scale"
     action: ClassVar[Action] = Action.COMPENSATE
-    slow: ClassVar[bool] = True
     rivals: ClassVar[tuple[Rival, ...]] = (
         Rival("air_index", "vary the air and the screw temperature apart: warm the screw by fast strokes in still air"),
         Rival("cosine", "measure once cold and once warm: a misaligned beam does not follow temperature"),

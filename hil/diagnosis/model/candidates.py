@@ -103,11 +103,6 @@ class Ranked:
     part: Part
     fit: Fit
 
-    @property
-    def key(self) -> tuple[str, str]:
-        """Effect and first column: forms of both equal are one explanation."""
-        return self.part.name, self.part.names[0] if self.part.names else ""
-
 
 class Catalogue:
     """All effects on their grids for one campaign. Beside a declared table each that is no function of the place is two explanations:
@@ -193,24 +188,15 @@ class Catalogue:
             found = max(trials, key=lambda trial: score(self.rows, trial)[0].log_p) if len(trials) > 1 else trials[0]
         return found
 
-    @cached_property
-    def _by_width(self) -> list[list[Grid]]:
-        """The grids by the number of columns of their candidates."""
-        return [[grid for grid in self.grids if grid.k == k] for k in sorted({grid.k for grid in self.grids})]
-
     def ranked(self, fits: Sequence[Fit]) -> list[Ranked]:
         """Each form by each column at its best beside fits of the same parts, the best first."""
         top = max(fit.log_p for fit in fits)
         found: dict[Grid, Ranked] = {}
         for fit in fits:
-            for same in self._by_width:
-                gains = np.concatenate([fit.gains(grid.rows, grid.k, grid) for grid in same])
-                at = 0
-                for grid in same:
-                    one = self._best(grid, fit, gains[at : at + len(grid.thetas)], fit.log_p - top)
-                    at += len(grid.thetas)
-                    if grid not in found or one.gain > found[grid].gain:
-                        found[grid] = one
+            for grid in self.grids:
+                one = self._best(grid, fit, fit.log_p - top)
+                if grid not in found or one.gain > found[grid].gain:
+                    found[grid] = one
         wandering = [self._wandering(one, fits, top) for one in self.wandering]
         return sorted([*found.values(), *wandering], key=lambda one: -one.gain)
 
@@ -220,7 +206,8 @@ class Catalogue:
         gain, ratio, fit = max(((*fit.random_gain(columns), fit) for fit in fits), key=lambda g: g[2].log_p + g[0])
         return Ranked(fit.log_p - top + gain + prior, self.part(replace(one, ratio=ratio), prior), fit)
 
-    def _best(self, grid: Grid, fit: Fit, gains: Floats, behind: float) -> Ranked:
+    def _best(self, grid: Grid, fit: Fit, behind: float) -> Ranked:
+        gains = fit.gains(grid.rows, grid.k, grid)
         weighted = gains + grid.log_prior
         at = int(np.argmax(weighted))
         occam = float(np.logaddexp.reduce(weighted) - gains[at])

@@ -21,7 +21,7 @@ from hil.diagnosis.model.offer import Offer
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Given, Rows, row_scale
-from hil.diagnosis.model.search import Found, Search
+from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import share_of
 from hil.diagnosis.model.verdict import Verdict
 from hil.diagnosis.repeats import pure_error
@@ -89,27 +89,26 @@ def _as_seen(declared: Model, campaign: CampaignRows) -> Model:
     return declared.with_terms([as_far_as_seen(t, campaign.columns) if is_bounded(t) else t for t in declared.terms])
 
 
-def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[Effect]) -> tuple[Search, Found]:
+def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[Effect]) -> tuple[Search, Fit]:
     """The parts. A declared model decides only what it lacks of position and direction: all else is what shows beside any table,
     unless another effect is likelier beside the declared one."""
     search, found = _searched(own_rows(campaign, declared), effects)
     if declared is None:
         return search, found
-    rows = rows_of(campaign, declared, found.fit.sigma)
+    rows = rows_of(campaign, declared, found.sigma)
     static = [effect for effect in effects if effect.static]
     _, found = _searched(rows, static, found.parts)
-    search = Search(found.fit.rows, Catalogue(rows, effects), Remainder(campaign))
-    parts = search.exchanged(found.parts)
-    return search, Found(parts, search.fit(parts))
+    search = Search(found.rows, Catalogue(rows, effects), Remainder(campaign))
+    return search, search.fit(search.exchanged(found.parts))
 
 
-def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Found]:
+def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Fit]:
     """The parts beside some that stay; those again with the noise of each row as the first ones leave it."""
     catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
     stay = catalogue.again(kept)
     search = Search(rows, catalogue, remainder, stay)
     first = search.run(stay)
-    weighted = rows.with_scale(row_scale(first.fit.residual, rows.campaign))
+    weighted = rows.with_scale(row_scale(first.residual, rows.campaign))
     if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
         return search, first
     search = Search(weighted, catalogue, remainder, stay)
@@ -242,9 +241,9 @@ class Case:
     def diagnosis(self) -> Diagnosis:
         force = self.in_force
         carriers = self.verdict.carriers
-        whole = Force(self.found.fit, self.verdict.terms)
+        whole = Force(self.found, self.verdict.terms)
         everything = whole.model()
-        fit = self.found.fit
+        fit = self.found
         clean = self.rows.error_um - sum((t.error_um(self.rows.columns) for t in self.verdict.terms.values()), 0.0)
         after, alone = Figures.of(force.after_um), Figures.of(self.rows.error_um)
         base = self.declared if self.declared is not None else self.null.model()

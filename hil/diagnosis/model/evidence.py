@@ -198,10 +198,6 @@ class Profile:
         gradient[OFFSET] -= 2.0 * offset / (1.0 + offset)
         return value, gradient
 
-    def best(self, start: Floats, steps: int = 12) -> tuple[float, Floats]:
-        """Highest evidence from a start, with the log standard deviations there."""
-        return highest(self.value, start, LOWEST, HIGHEST, steps)
-
 
 @dataclass(frozen=True)
 class Scored:
@@ -222,7 +218,8 @@ def score(rows: Rows, parts: Sequence[Part], near: Noise | None = None) -> list[
     start = START if near is None else near.log_sd
     found = []
     for memory in memories:
-        value, start = Profile(rows, columns, memory).best(start, 12 if near is None else 6)
+        profile = Profile(rows, columns, memory)
+        value, start = highest(profile.value, start, LOWEST, HIGHEST, 12 if near is None else 6)
         found.append(Scored(value + _prior(parts), Noise(memory, start)))
     return sorted(found, key=lambda one: -one.log_p)
 
@@ -346,12 +343,6 @@ class Fit:
         a = (reduced.products - h @ h.transpose(0, 2, 1)).astype(float)
         b = (rows @ self.score).reshape(-1, k).astype(float)
         return a, np.diagonal(reduced.products, axis1=1, axis2=2).astype(float), b
-
-    def gains_of(self, columns: Floats, rests: Floats) -> Floats:
-        """What random columns would add to the log evidence if this were left, whitened, (n, m): (m,)."""
-        a, _ = self.normal(columns)
-        b = rests.T @ self.rows.white(columns, self.noise.memory)
-        return self._of_random(np.broadcast_to(a, (len(b), *a.shape)), b)[0]
 
     def random_gain(self, columns: Floats) -> tuple[float, float]:
         """Log evidence that random columns would add at the best of their variances, and that variance."""

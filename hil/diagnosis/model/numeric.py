@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,7 @@ LONGEST = 4.0
 """Most that one step may change a parameter."""
 
 
-def inverse_of_lower(lower: Floats) -> Floats:
+def inverse_of_lower(lower: NDArray[np.floating[Any]]) -> Floats:
     """Inverse of a lower triangular matrix, by halves."""
     n = len(lower)
     if n <= LEAF:

@@ -17,8 +17,7 @@ class Policy:
     correlated: scale of noise that stays from row to row, in white noise: of the half-normal prior on its memory, and of the
         half-Cauchy one on offsets of runs
     dof: degrees of freedom of the prior on the variance of a group of rows, and of each row where the tails are heavy: Student's t
-    few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away; rows of which a
-        normal noise has fewer are far off
+    few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away
     largest: RMS of an effect over that of the errors, from which another one would have to undo it
     sure: posterior of an effect by its column from which its correction goes beyond what was seen
     """

@@ -8,6 +8,7 @@ from collections.abc import Hashable, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from hil.effects.model import Model
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Singles = NDArray[np.float32]
+Real = TypeVar("Real", np.float32, np.float64)
 
 LONGEST = 125
 """Rows of a run over which its memory is followed; of longer runs each such stretch has its own."""
@@ -39,10 +41,6 @@ class Memory:
 
     ar: float
     rho: float
-
-    def power(self, alike: Floats) -> Floats:
-        """Power spectrum at the frequencies at which neighbouring rows are correlated so."""
-        return np.asarray(1.0 + self.ar**2 * (1.0 - self.rho**2) / (1.0 - 2.0 * self.rho * alike + self.rho**2))
 
 
 NO_MEMORY = Memory(0.0, 0.0)
@@ -169,21 +167,11 @@ class Rows:
             self._roots[key] = inverse_of_lower(lower)
         return self._roots[key]
 
-    def white(self, columns: Floats, memory: Memory) -> Floats:
-        """Columns (n, k), or values (n,), over the noise of their rows."""
-        scaled = np.asarray((columns.T / self.scale).T)
-        if not memory.ar:
-            return scaled
-        out = np.empty_like(scaled)
-        for rows in self.stretches:
-            out[rows] = self._root(rows.stop - rows.start, memory) @ scaled[rows]
-        return out
-
-    def white_rows(self, rows: Singles, memory: Memory) -> Singles:
-        """Columns as rows, (k, n), over the noise, in single precision."""
-        scaled: Singles = np.divide(rows, self.scale, dtype=np.float32)
-        for mine in self.stretches if memory.ar else ():
-            scaled[:, mine] = scaled[:, mine] @ self._root(mine.stop - mine.start, memory).T.astype(np.float32)
+    def white(self, columns: NDArray[Real], memory: Memory) -> NDArray[Real]:
+        """Columns (n, k), or values (n,), over the noise of their rows, in their own precision."""
+        scaled = np.divide(columns.T, self.scale, dtype=columns.dtype).T
+        for rows in self.stretches if memory.ar else ():
+            scaled[rows] = self._root(rows.stop - rows.start, memory).astype(columns.dtype) @ scaled[rows]
         return scaled
 
     def unwhite(self, values: Floats, memory: Memory) -> Floats:
@@ -202,7 +190,7 @@ class Rows:
             size = k * max(MOST_BYTES // (4 * k * self.n), 1)
             products, by_base = [], []
             for first in range(0, len(rows), size):
-                white = self.white_rows(rows[first : first + size], memory)
+                white = self.white(rows[first : first + size].T, memory).T
                 groups = white.reshape(-1, k, self.n)
                 products.append(groups @ groups.transpose(0, 2, 1))
                 by_base.append(white @ base)

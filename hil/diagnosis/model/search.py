@@ -36,18 +36,6 @@ class Alternative:
     noise: Noise
 
 
-@dataclass(frozen=True)
-class Found:
-    """The parts, the likeliest noise model beside them, and their evidence."""
-
-    parts: tuple[Part, ...]
-    fit: Fit
-
-    @property
-    def log_p(self) -> float:
-        return self.fit.log_p
-
-
 class Search:
     """One campaign's candidates, with what was tried. Without a remainder it looks for effects alone; kept: parts that stay."""
 
@@ -56,8 +44,7 @@ class Search:
     ) -> None:
         self.rows, self.catalogue, self.remainder = rows, catalogue, remainder
         self.kept = frozenset(kept)
-        self._tried: dict[frozenset[Part], list[Alternative]] = {}
-        self._left: dict[frozenset[Part], list[Alternative]] = {}
+        self._tried: dict[tuple[str, frozenset[Part]], list[Alternative]] = {}
         self._scored: dict[frozenset[Part], list[Scored]] = {}
         self._refinements: dict[Part, Ranked] = {}
 
@@ -84,27 +71,22 @@ class Search:
 
     def alternatives(self, parts: Sequence[Part], *, remainder: bool = True) -> list[Alternative]:
         """What may be added to the parts, the likeliest first."""
-        found = self._of_effects(parts)
-        if remainder and self.remainder is not None:
-            found = [*found, *self._of_remainder(parts, self.remainder)]
+        found: list[Alternative] = []
+        for of in (self._effects, self._remainders) if remainder else (self._effects,):
+            key = of.__name__, frozenset(parts)
+            if key not in self._tried:
+                self._tried[key] = [self.with_part(parts, part, near) for part, near in of(parts)]
+            found += self._tried[key]
         return sorted(found, key=lambda one: -one.log_p)
 
-    def _of_effects(self, parts: Sequence[Part]) -> list[Alternative]:
-        key = frozenset(parts)
-        if key not in self._tried:
-            self._tried[key] = [self.with_part(parts, part, near) for part, near in self._effects(self._fits(parts))]
-        return self._tried[key]
+    def _remainders(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
+        """The two likeliest."""
+        ranked = self.remainder.best(self.fit(parts), kept=2) if self.remainder is not None else ()
+        return [(one.part, one.fit.noise) for one in ranked]
 
-    def _of_remainder(self, parts: Sequence[Part], remainder: Remainder) -> list[Alternative]:
-        key = frozenset(parts)
-        if key not in self._left:
-            ranked = remainder.best(self.fit(parts), kept=2)
-            self._left[key] = [self.with_part(parts, one.part, one.fit.noise) for one in ranked]
-        return self._left[key]
-
-    def _effects(self, fits: Sequence[Fit]) -> list[tuple[Part, Noise]]:
+    def _effects(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The effects that come near the best, each in its likeliest forms."""
-        near = [self._refined(one) for one in _nearest(self.catalogue.ranked(fits), *REFINED)]
+        near = [self._refined(one) for one in _nearest(self.catalogue.ranked(self._fits(parts)), *REFINED)]
         near += [_as_good_as(one, rich) for one in near for rich in self.catalogue.richer(one.part, one.fit)]
         best = _nearest(sorted(near, key=lambda one: -one.gain), *FOLLOWED)
         return [(self._refined(one).part, one.fit.noise) for one in best]
@@ -175,8 +157,8 @@ class Search:
         gain = beside.random_gain(part.random)[0] if part.is_remainder else beside.gain(part.free)
         return gain + part.log_prior <= 0.0
 
-    def run(self, parts: Sequence[Part] = ()) -> Found:
-        """From some parts on, until nothing is worth adding."""
+    def run(self, parts: Sequence[Part] = ()) -> Fit:
+        """The parts that are found from some on, until nothing is worth adding."""
         current = self.exchanged(parts)
         for _ in range(MOST_PARTS):
             worth = self.scored(current)[0].log_p + USUAL.named
@@ -188,7 +170,7 @@ class Search:
             if best is None:
                 break
             current = self.exchanged([*current, best.part])
-        return Found(current, self.fit(current))
+        return self.fit(current)
 
     def exchanged(self, parts: Sequence[Part]) -> tuple[Part, ...]:
         """The parts without those that are not worth it beside the others, and with likelier ones in the place of some."""

@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.model.evidence import Fit, Part, Scored
+from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rivals import not_told_apart, separating, to_switch
-from hil.diagnosis.model.search import Found, Search
+from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import UNKNOWN, columns_of, share_of, unlogged
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.effects import Estimate, Term
@@ -39,12 +39,12 @@ class Verdict:
     recorded: columns that are filled in every row
     """
 
-    def __init__(self, search: Search, found: Found, recorded: Collection[str]) -> None:
-        self.search, self.fit, self.parts, self.recorded = search, found.fit, found.parts, recorded
+    def __init__(self, search: Search, fit: Fit, recorded: Collection[str]) -> None:
+        self.search, self.fit, self.parts, self.recorded = search, fit, fit.parts, recorded
         self.campaign = search.rows.campaign
-        self.terms = terms_of(found.fit)
+        self.terms = terms_of(fit)
         self.groups: dict[str, list[Part]] = {}
-        for part in sorted(found.parts, key=lambda one: -float(np.std(self.fit.course_um(one)))):
+        for part in sorted(fit.parts, key=lambda one: -float(np.std(fit.course_um(one)))):
             if not part.is_remainder:
                 self.groups.setdefault(part.name, []).append(part)
 
@@ -166,14 +166,11 @@ class Verdict:
             at = np.concatenate([np.arange(len(self.fit.beta))[self.fit.where(part, "random")] for part in parts])
             slope = np.hstack([part.random for part in parts]).T @ course / (len(course) * max(size, 1e-12))
             std = float(np.sqrt(max(float(slope @ self.fit.covariance[np.ix_(at, at)] @ slope), 0.0)))
-            gain = self.search.scored(self.parts)[0].log_p - self._without(parts).log_p
+            others = [one for one in self.parts if one not in parts]
+            gain = self.search.scored(self.parts)[0].log_p - self.search.scored(others)[0].log_p
             names, probability = parts[0].names, float(np.exp(-max(gain, 0.0)))
             found.append(Carrier(names, Estimate(size, std), probability, self._equivalent(names)))
         return tuple(sorted(found, key=lambda one: -one.rms.value))
-
-    def _without(self, parts: Sequence[Part]) -> Scored:
-        gone = set(parts)
-        return self.search.scored([one for one in self.parts if one not in gone])[0]
 
     def _is_form(self, part: Part, size_um: float) -> bool:
         """Whether a remainder is the error of the form of an effect in the same columns."""

@@ -2,7 +2,7 @@
 changed, beside those as it stands.
 
 `python tests/study/grammar/ablation.py OUT.jsonl --machines 6` goes on where OUT ends and prints the table; `--only` names some,
-`--together "rows hit + largest 1e9"` changes all of these at once.
+`--together "rows in cycles + largest 1e9"` changes all of these at once.
 """
 
 from __future__ import annotations
@@ -37,10 +37,9 @@ FACTORS = (0.5, 2.0)
 PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "rivals by physics": (verdict, "not_told_apart", lambda *_: {}),
     "unlogged": (verdict, "unlogged", lambda *_: ()),
-    "rows hit": (Remainder, "_hit", lambda *_: ()),
-    "turning": (Remainder, "_turning", lambda *_: ()),
     "rows in cycles": (Remainder, "_of_rows", lambda *_: ()),
     "states in time": (Remainder, "_in_time", lambda *_: ()),
+    "waves along the travel": (Remainder, "_along", lambda *_: ()),
     "effects instead": (Search, "_effects_instead", lambda *_: None),
     "few rows": (Search, "rests_on_few", lambda *_: False),
     "ranges": (Search, "_against", lambda *_: 0.0),

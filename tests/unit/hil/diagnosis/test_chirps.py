@@ -1,4 +1,4 @@
-"""Waves whose period changes along a column, which no family of the scan holds: they are left all the same, with columns and size.
+"""Waves whose period changes along a column, which no block of the remainder holds: they are left all the same, with columns and size.
 
 Of the one of another axis alone an effect first undid a part, and 1.9 µm were said of 0.6: what is left is sized again without it.
 """

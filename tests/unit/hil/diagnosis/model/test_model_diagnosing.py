@@ -46,7 +46,6 @@ CASES: dict[str, Errors] = {
     "play by temperature": lambda c: 0.4 * c["direction"] * (c["temp_screw_c"] - 20.0),
     "state along": lambda c: switched(c, 170.0) * np.sin(x(c) / 40.0),
     "one run": lambda c: 1.5 * (c["run"] == 3) * np.sin(x(c) / 30.0),
-    "hit rows": lambda c: 5.0 * (np.random.default_rng(3).random(len(x(c))) < 0.1) * np.cos(x(c) / 60.0),
     "tenth row": lambda c: 4.0 * tenth(c) * np.sin(x(c) / 60.0),
     "product": lambda c: 0.03 * c["load_kg"] * (x(c) / 150.0 - 1.0) ** 2,
     "relay": lambda c: 2.0 * (c["temp_screw_c"] > 21.8),
@@ -107,7 +106,6 @@ def test_a_cause_of_the_catalogue_is_named_with_its_parameter(
         ("state along", {"target_mm", "time_s"}),
         ("one run", {"run", "target_mm"}),
         ("tenth row", {"row_order", "target_mm"}),
-        ("hit rows", {"row_order", "target_mm"}),
     ],
 )
 def test_a_cause_outside_the_catalogue_is_left_with_its_columns(case: str, columns: set[str]) -> None:

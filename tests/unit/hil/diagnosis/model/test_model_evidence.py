@@ -11,8 +11,10 @@ from support.campaigns import campaign, wavy
 from support.docs import PAGES
 
 from hil.diagnosis.campaign import prepare
+from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Columns, Fit, Noise, Part, Profile, log_bayes, score
 from hil.diagnosis.model.rows import EVEN, ODD, OFFSET, Memory, Rows
+from hil.effects import ALL
 
 CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
 ROWS = Rows(CAMPAIGN)
@@ -111,6 +113,22 @@ def test_the_factor_of_one_column_by_hand() -> None:
     page = PAGES["model"].read_text(encoding="utf-8")
     assert f"left = {left:.4f}" in page
     assert f"½ log {1 + g:.1f} - log 11 = {by_hand:.2f}" in page
+
+
+def test_an_effect_has_the_mean_of_the_evidence_over_its_grid_with_the_prior_of_its_parameters() -> None:
+    rows = Rows(prepare(campaign(lambda c: wavy(c) - np.exp(-c["time_s"] / 30.0), runs=4, targets=8)))
+    fit = Fit(rows, [], NOISES[0])
+    (drift,) = (effect for effect in ALL if effect.id == "thermal_drift")
+    by_form = {one.part.of.form.name: one for one in Catalogue(rows, [drift]).ranked([fit]) if one.part.of}
+    found = by_form["warming since the start"]
+    assert found.part.of
+    form = found.part.of.form
+    middle, spread = form.nonlinear[0].usual or (1.0, 1.0)
+    prior = np.array([-0.5 * (math.log(theta / middle) / spread) ** 2 for (theta,) in form.starts])
+    gains = np.array([fit.gain(drift.basis(form, theta, rows.campaign.columns)) for theta in form.starts])
+    mean = math.log(np.sum(np.exp(gains + prior)) / np.sum(np.exp(prior)))
+    assert found.gain == pytest.approx(mean, abs=0.03)  # in single precision
+    assert abs(mean - math.log(np.mean(np.exp(gains)))) > 0.1
 
 
 def test_the_best_noise_is_found_again_from_rows_that_have_it() -> None:
