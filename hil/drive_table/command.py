@@ -15,7 +15,7 @@ from hil.drive_table.change import Snapshot
 from hil.drive_table.job import (
     NOTE,
     PROVERS,
-    OpenAxis,
+    ConnectedAxis,
     Proving,
     Stored,
     download,
@@ -167,15 +167,15 @@ def _stored(args: argparse.Namespace, axis: AxisConfig) -> Stored:
 
 
 @contextmanager
-def _open(axis: AxisConfig, how: Proving) -> Iterator[OpenAxis]:
+def _open(axis: AxisConfig, how: Proving) -> Iterator[ConnectedAxis]:
     """The axis, with its instrument where that proves."""
     with ExitStack() as stack:
         listener = stack.enter_context(terminal_progress())
         if how.by == "instrument":
             session = stack.enter_context(connected(axis)).session
-            yield OpenAxis(axis, session.drive, session, listener)
+            yield ConnectedAxis(axis, session.drive, session, listener)
         else:
-            yield OpenAxis(axis, stack.enter_context(connected_drive(axis)), None, listener)
+            yield ConnectedAxis(axis, stack.enter_context(connected_drive(axis)), None, listener)
 
 
 # -- jobs ----------------------------------------------------------------------------------------------------------------

@@ -90,7 +90,7 @@ class Stored:
 
 
 @dataclass(frozen=True)
-class OpenAxis:
+class ConnectedAxis:
     """An axis that is connected. session: None without its instrument"""
 
     axis: AxisConfig
@@ -113,7 +113,7 @@ def made_table(axis: AxisConfig, stored: Stored, deviation_um: float = DEVIATION
     return drive_table(stored.wanted, description, axis.scaling, axis.limits, deviation_um=deviation_um, bound=bound)
 
 
-def download(there: OpenAxis, stored: Stored, made: DriveTable, how: Proving, tell: Tell) -> DriveTableResult:
+def download(there: ConnectedAxis, stored: Stored, made: DriveTable, how: Proving, tell: Tell) -> DriveTableResult:
     """Write, read back, prove, and switch on what is proven; else, and after any error, put back what was there."""
     axis, drive = there.axis, there.drive
     zero = zero_keeper(axis).kept(tables=stored.compensation.zero)
@@ -131,7 +131,7 @@ def download(there: OpenAxis, stored: Stored, made: DriveTable, how: Proving, te
     return DriveTableResult(axis, None, proof, made.deviation_um, made, change.undone, change.seconds)
 
 
-def prove(there: OpenAxis, stored: Stored, how: Proving) -> DriveTableResult:
+def prove(there: ConnectedAxis, stored: Stored, how: Proving) -> DriveTableResult:
     """Prove the table that the drive holds. Raises ZeroError and MadeWithError, before any motion, for one of another zero, or made
     with other parameters."""
     axis, drive = there.axis, there.drive
@@ -176,7 +176,7 @@ def held(axis: DriveAxis, drive: ServoDrive) -> Held:
     return Held(table.description, found, curve, remembered_zero(_zero_note(axis), found.raw))
 
 
-def _prove(there: OpenAxis, stored: Stored, how: Proving) -> Proof | None:
+def _prove(there: ConnectedAxis, stored: Stored, how: Proving) -> Proof | None:
     axis, targets, measuring = there.axis, how.targets_mm(there.axis), there.axis.measurement
     if how.by == "nothing":
         return None

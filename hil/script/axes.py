@@ -9,14 +9,14 @@ from pathlib import Path
 from drivers.errors import CapabilityError
 from hil.axis.axis_file import AxisConfig, load_drive_axis
 from hil.machine.events import Listener, silent
-from hil.script.axis import Axis
 from hil.script.given import Passwords
+from hil.script.open_axis import OpenAxis
 
 
 @contextmanager
 def open_axes(
     *paths: str | Path, password: str | None = None, key_password: str | None = None, on_event: Listener = silent
-) -> Iterator[tuple[Axis, ...]]:
+) -> Iterator[tuple[OpenAxis, ...]]:
     """The axes of several axis files, each with an instrument, connected together for a `with` block; arguments as for `hil.open`.
 
     `parameters` and straightness need an axis alone and raise CapabilityError.
@@ -32,7 +32,7 @@ def open_axes(
     with connected_axes(measured) as machines:
         passwords = Passwords(password, key_password)
         connections = [Connection(one.session.drive, one.session) for one in machines]
-        axes = [Axis(file, passwords, on_event, on) for file, on in zip(measured, connections, strict=True)]
+        axes = [OpenAxis(file, passwords, on_event, on) for file, on in zip(measured, connections, strict=True)]
         try:
             yield tuple(axes)
         finally:

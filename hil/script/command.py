@@ -7,7 +7,7 @@ import os
 
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, load_axis
-from hil.script.axis import open_axis
+from hil.script.open_axis import open_axis
 from hil.script.procedure import Procedure, values_of
 from hil.script.procedure_file import made_from
 from hil.script.procedure_job import procedure_plan

@@ -31,7 +31,8 @@ from hil.records.made_with import MadeWithError
 from hil.records.zero import ZeroError
 from hil.script.axes import open_axes
 from hil.script.axis import Axis
-from hil.script.axis import open_axis as open
+from hil.script.open_axis import OpenAxis
+from hil.script.open_axis import open_axis as open
 from hil.script.own_table import OwnTable
 from hil.script.parameters import Parameters
 from hil.script.probe import Probe, open_probe
@@ -76,6 +77,7 @@ __all__ = [
     "MotionTimeoutError",
     "Move",
     "NoAnswerError",
+    "OpenAxis",
     "OverspeedError",
     "OwnTable",
     "ParameterComparison",

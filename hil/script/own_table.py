@@ -101,6 +101,6 @@ class OwnTable:
 
 
 def _open(axis: AxisConfig, place: Workplace) -> Any:
-    from hil.drive_table.job import OpenAxis  # noqa: PLC0415  (drivers load slowly)
+    from hil.drive_table.job import ConnectedAxis  # noqa: PLC0415  (drivers load slowly)
 
-    return OpenAxis(axis, place.drive, place.session, place.listener)
+    return ConnectedAxis(axis, place.drive, place.session, place.listener)

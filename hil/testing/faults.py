@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.script.axis import Axis
+from hil.script.open_axis import OpenAxis
 from hil.testing.drive import SimulatedDrive, add_to_bench
 from sim_backends.fault_text import parse_faults
 
 
-def fault_of(machine: Axis | SimulatedDrive) -> Callable[[str], None]:
+def fault_of(machine: OpenAxis | SimulatedDrive) -> Callable[[str], None]:
     """The fixture `fault` of a machine."""
     if isinstance(machine, SimulatedDrive):
         return machine.fault

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from hil.script.axis import Axis
+    from hil.script.open_axis import OpenAxis
     from hil.testing.drive import SimulatedDrive
 
 WIRES = ("virtual", "vcan0", "slcan")
@@ -28,12 +28,12 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 @pytest.fixture
-def simulated_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Axis]:
+def simulated_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[OpenAxis]:
     """An open axis as of `hil.open`, on a simulated machine with a laser, its drive on a virtual CAN bus in this process.
 
     Time is simulated: it passes while the axis moves, is watched or read, as fast as the processor allows.
     """
-    from hil.script.axis import open_axis  # noqa: PLC0415  (loads slowly)
+    from hil.script.open_axis import open_axis  # noqa: PLC0415  (loads slowly)
     from hil.testing.files import lay_out  # noqa: PLC0415
 
     with open_axis(lay_out(tmp_path, monkeypatch)) as axis:

@@ -21,7 +21,7 @@ ALIKE = ("form", "sentence", "records", "raw", "axis", "certificate")
 OWN = (
     "Axis.confine",
     "Axis.hold",
-    "Axis.forget",
+    "OpenAxis.forget",
     *(f"BacklashResult.{name}" for name in ("how", "settings", "kept", "table", "parameters", "identity")),
 )
 """Members that only this program calls."""
