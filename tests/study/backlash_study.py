@@ -165,15 +165,17 @@ def _median_and_95(percent: Sequence[float]) -> list[str]:
 
 
 def tables(outcomes: Sequence[Outcome]) -> str:
-    """Both feeds by size and by kind, as Markdown."""
+    """Both feeds by size, steps by kind as well, as Markdown."""
     sizes: dict[str, Callable[[Drawn], bool]] = {"all": lambda _: True}
     for low, high in ((5, 10), (10, 20), (20, 50), (50, 100)):
         sizes[f"{low} to {high} µm"] = lambda m, low=low, high=high: low <= m.laser_um < high  # type: ignore[misc]
+    kinds: dict[str, Callable[[Drawn], bool]] = {}
     for kind in sorted({kind for o in outcomes for kind in o.machine.kinds}):
-        sizes[kind] = lambda m, kind=kind: kind in m.kinds  # type: ignore[misc]
+        kinds[kind] = lambda m, kind=kind: kind in m.kinds  # type: ignore[misc]
     text = []
     for feed in FEEDS:
-        rows = [row(name, [o for o in outcomes if o.feed == feed and of(o.machine)]) for name, of in sizes.items()]
+        shown = sizes | kinds if feed == "steps" else sizes
+        rows = [row(name, [o for o in outcomes if o.feed == feed and of(o.machine)]) for name, of in shown.items()]
         title = "By steps of 1 µm" if feed == "steps" else f"By a creep of {CREEP_UM_S:g} µm/s"
         seconds = np.median([o.seconds for o in outcomes if o.feed == feed])
         text += [f"## {title}", "", *_markdown(HEAD, rows), "", f"A reversal takes {seconds:.0f} s (median).", ""]

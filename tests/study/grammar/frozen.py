@@ -174,9 +174,20 @@ def _fresh(lot: str, own: Sequence[Outcome]) -> str:
 
 def _runs_asked(outcomes: Sequence[Asked]) -> list[str]:
     """What the runs that were asked for lead to."""
-    lines = ["## The next measurement", "", "`python tests/study/next_study.py --machines 34 --json OUT.jsonl`", ""]
-    rows = [f"| {name} | {value:.3g} |" for name, value in of_runs_asked(outcomes).items()]
-    return [*lines, "| Figure | value |", "|---|---:|", *rows, ""]
+    found = of_runs_asked(outcomes)
+    number, confused = found["machines"], found["confused by the standard test"]
+    right_share = found["right at the end, of those confused"]
+    runs, minutes = (
+        found[f"{name} of those confused"] for name in ("runs asked for, mean", "minutes asked for, median")
+    )
+    return [
+        "## The next measurement",
+        "",
+        f"Of {number:.0f} machines the standard test left {confused:.0f} with more than one possible cause. After {runs:.2f} further",
+        f"runs (mean; {minutes:.0f} minutes, median) the cause was right on {100 * right_share:.0f} % of these.",
+        "`python tests/study/next_study.py --machines 34 --json OUT.jsonl` prints this.",
+        "",
+    ]
 
 
 def page() -> str:
