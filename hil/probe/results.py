@@ -22,7 +22,7 @@ class ProbeResult(Result):
 
     @property
     def good(self) -> bool:
-        """It came to its end."""
+        """Whether it came to its end."""
         return True
 
 
@@ -88,7 +88,7 @@ class RunOutResult(ProbeResult):
 
 @dataclass(frozen=True, repr=False)
 class ProbeCorrectionResult(ProbeResult):
-    """A correction by the run-out. measured: when the run-out was."""
+    """A correction by the run-out. measured: time of the run-out."""
 
     raw: Correction
     measured: str
@@ -113,7 +113,7 @@ class ProbeCorrectionResult(ProbeResult):
 
 @dataclass(frozen=True, repr=False)
 class BoreResult(ProbeResult):
-    """The centre of a bore. measured: when the run-out was by which it was corrected."""
+    """The centre of a bore. measured: time of the run-out that corrected it."""
 
     raw: BoreCentre
     measured: str
@@ -150,7 +150,7 @@ class BoreResult(ProbeResult):
 
 @dataclass(frozen=True, repr=False)
 class FeatureResult(ProbeResult):
-    """A face, its angle, a boss or a reference position. measured: when the run-out was by which it was corrected."""
+    """A face, its angle, a boss or a reference position. measured: time of the run-out that corrected it."""
 
     raw: FeatureMeasurement
     measured: str

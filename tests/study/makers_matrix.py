@@ -1,7 +1,7 @@
 """Every maker's dictionary with a controlword, against a strict slave made from the file alone: opens, enables, homes, moves, streams.
 
     python tests/study/makers_matrix.py [NAME …]      those whose file name holds NAME; all without one
-    python tests/study/makers_matrix.py --markdown    the table as hil/docs/drives_tested.md shows it
+    python tests/study/makers_matrix.py --markdown    the table of hil/docs/drives_tested.md, which has the refusals in a sentence
     python tests/study/makers_matrix.py --profiles    every verb over every profile of a documented drive (`profiles_matrix`)
 
 The files are looked for in HIL_SHARED_DATA/eds, else ../shared/data/eds. A user's axis file is played: the counts per revolution

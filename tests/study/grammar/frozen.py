@@ -134,7 +134,6 @@ were looked at while the diagnosis was made, and prove nothing.
 |---|---|
 | `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10676` | adds machines; `--lot` chooses one lot |
 | `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | compares two such files |
-| `python tests/study/grammar/ablation.py OUT.jsonl` | leaves out each part, and changes each number |
 | `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | compares with BIC, lasso, STLSQ and trees |
 | `python tests/study/drawn.py` | 40 machines that somebody else drew |
 
