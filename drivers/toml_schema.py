@@ -274,6 +274,7 @@ def keys_of(kind: Any) -> dict[str, tuple[str, Any]]:
     return described
 
 
+@cache
 def _unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
     """The type itself and the marks of its `Annotated`s; X of X | None."""
     marks: tuple[Any, ...] = ()
@@ -287,6 +288,7 @@ def _unwrap(annotation: Any) -> tuple[Any, tuple[Any, ...]]:
             return annotation, marks
 
 
+@cache
 def _limited(kind: Any, marks: tuple[Any, ...]) -> Any:
     """A type with its limits in msgspec's form."""
     for mark in marks:

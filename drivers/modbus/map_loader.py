@@ -6,17 +6,27 @@ single keys are in `drivers.modbus.drive_map`.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 from drivers.drive import FAULTS, DriveState
+from drivers.files import read_text
 from drivers.modbus.drive_map import DriveMap, StateChange, leads_to_enabled
 from drivers.modbus.register_map import RegisterMap, find_map, parse_registers
-from drivers.toml_schema import Document
+from drivers.toml_schema import MOST_BYTES, Document
 
 
 def load_drive_map(name_or_path: str | Path) -> DriveMap:
-    """Read a register map with its [drive] part; a shipped one by name. Raises InputError naming file, line and key."""
-    document = Document.read(find_map(name_or_path))
+    """Read a register map with its [drive] part; a shipped one by name. Raises InputError naming file, line and key.
+
+    The text is read at each call, and understood once."""
+    path = find_map(name_or_path)
+    return _drive_map(path, read_text(path, MOST_BYTES, expected="TOML"))
+
+
+@lru_cache(maxsize=64)
+def _drive_map(path: Path, text: str) -> DriveMap:
+    document = Document(path, text)
     drive = _drive(document, parse_registers(document))
     document.finish()
     return drive

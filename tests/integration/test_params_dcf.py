@@ -140,6 +140,7 @@ def axis_file(folder: Path, eds: Path, node_id: int) -> Path:
 
 
 @pytest.mark.skipif(not DCFS, reason="no DCF files: set HIL_SHARED_DATA or put ../shared/data beside the project")
+@pytest.mark.outside  # a corpus
 def test_all_published_device_dcfs_pass_a_dry_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """What is looked at and what is left out are together all that the file configures; each PDO counts as one parameter."""
     together = {"looked": 0, "left": 0}

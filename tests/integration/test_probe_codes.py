@@ -143,6 +143,7 @@ def test_an_io_module_of_another_stack_on_the_can_bus(tmp_path: Path) -> None:
             record.add_member(entry)
         dictionary.add_object(record)
     channel, network = uuid.uuid4().hex, canopen.Network()
+    network.NOTIFIER_CYCLE = 0.05  # it ends after one more
     network.connect(interface="virtual", channel=channel)
     try:
         module = network.create_node(9, dictionary)

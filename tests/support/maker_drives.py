@@ -38,6 +38,7 @@ from sim_backends.servo import MotionMode, ServoParameters, SimulatedServo
 
 MS = 1_000_000
 _SIZE = {"u16": 1, "i16": 1, "u32": 2, "i32": 2}
+_LARGEST = max(_SIZE.values())
 
 
 class Shaft:
@@ -169,15 +170,18 @@ class MakerDrive:
     def _advance(self, now_ns: int, dt_s: float) -> None:
         with self.lock:
             self.now_ns = now_ns
-            due = [act for at_ns, act in self.later if at_ns <= now_ns]
-            self.later = [each for each in self.later if each[0] > now_ns]
-            for act in due:
-                act()
-            self.servo.advance(now_ns, dt_s)
+            if self.later:
+                due = [act for at_ns, act in self.later if at_ns <= now_ns]
+                self.later = [each for each in self.later if each[0] > now_ns]
+                for act in due:
+                    act()
+            servo = self.servo
+            servo.advance(now_ns, dt_s)
             self.tick()
-            self.fastest_counts_s = max(self.fastest_counts_s, abs(self.servo.velocity_actual_counts_s))
-            here = self.servo.position_actual_counts
-            self.lowest, self.highest = min(self.lowest, here), max(self.highest, here)
+            if (speed := abs(servo.velocity_actual_counts_s)) > self.fastest_counts_s:
+                self.fastest_counts_s = speed
+            if not self.lowest <= (here := servo.position_actual_counts) <= self.highest:
+                self.lowest, self.highest = min(self.lowest, here), max(self.highest, here)
 
     def tick(self) -> None: ...
 
@@ -190,8 +194,8 @@ class MakerDrive:
                 row = self.rows.get(address)
                 return row.words() if row is not None and _SIZE[row.kind] == count else None
             words: dict[int, int] = {}
-            for start, row in self.rows.items():
-                if start < address + count and address < start + _SIZE[row.kind]:
+            for start in range(address - _LARGEST + 1, address + count):
+                if (row := self.rows.get(start)) is not None:
                     words |= {start + at: word for at, word in enumerate(row.words())}
             return [words.get(at, 0) for at in range(address, address + count)]
 

@@ -13,6 +13,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 PRODUCT = ("drivers", "sim_backends", "hil")
 ENTRY = {"run", "add_parser"}
@@ -157,6 +159,7 @@ def test_every_package_is_shipped() -> None:
     assert sorted(listed) == sorted(".".join(folder.parts) for folder in there)
 
 
+@pytest.mark.outside  # reads every module
 def test_nothing_is_there_for_tests_alone() -> None:
     found = [name for name in unreached(ROOT) if not name.startswith(IN_TESTS)]
     assert sorted(found) == sorted(EXCEPTIONS)

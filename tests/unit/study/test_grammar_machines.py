@@ -68,6 +68,7 @@ def test_the_two_ranges_of_numbers_share_none():
 @pytest.mark.parametrize(
     ("lot", "bounds"), [("strong", STRONG), ("weak", WEAK), ("outside strong", STRONG), ("outside weak", WEAK)]
 )
+@pytest.mark.outside  # draws dozens of machines
 def test_a_cause_is_as_strong_as_asked_by_another_spline_fit(lot, bounds):
     checked = 0
     for seed in range(FIRST, FIRST + 12):
@@ -90,6 +91,7 @@ def test_a_cause_is_as_strong_as_asked_by_another_spline_fit(lot, bounds):
 
 
 @pytest.mark.parametrize("kind", noise.KINDS)
+@pytest.mark.outside  # draws dozens of machines
 def test_noise_is_as_large_and_as_correlated_as_it_says(kind, state):
     rng = np.random.default_rng(1)
     drawn = noise.draw_noise(rng, kind, 0.7)
@@ -103,6 +105,7 @@ def test_noise_is_as_large_and_as_correlated_as_it_says(kind, state):
 
 
 @pytest.mark.parametrize("lot", ["strong", "clean", "pairs"])
+@pytest.mark.outside  # draws dozens of machines
 def test_the_true_model_leaves_the_noise_on_fresh_rows(lot):
     over = []
     for seed in range(FIRST, FIRST + 8):

@@ -74,6 +74,7 @@ def test_status_output_and_files_come_back(run: Run, tmp_path: Path) -> None:
     assert (out / "file").read_text() == "kept\n"
 
 
+@pytest.mark.outside  # a real time-out
 def test_a_guest_that_hangs_is_ended_in_time(run: Run) -> None:
     before = time.monotonic()
     result = run('echo "HIL-GUEST READY"; echo started; exec sleep 25', "--timeout", "1", "--", "true")

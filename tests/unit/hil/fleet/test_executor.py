@@ -18,6 +18,7 @@ from hil.fleet import executor, index
 from hil.fleet.executor import completed
 
 
+@pytest.mark.outside
 def test_local_processes() -> None:
     found = dict(completed(worked, range(20), processes=2))
     assert {number: square for number, (square, _) in found.items()} == {number: number**2 for number in range(20)}
@@ -25,6 +26,7 @@ def test_local_processes() -> None:
     assert list(completed(worked, [], processes=2)) == []
 
 
+@pytest.mark.outside
 def test_a_killed_process_loses_no_task(tmp_path: Path) -> None:
     marks = [str(tmp_path / name) for name in "abc"]
     Path(marks[0]).write_text("")

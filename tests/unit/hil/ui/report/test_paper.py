@@ -207,6 +207,7 @@ def data_table(columns: int, rows: int, **more: bool) -> DataTable:
     return DataTable("data", "Data", values, **more)
 
 
+@pytest.mark.outside  # thousands of rows on paper
 def test_a_long_table_has_its_head_on_every_sheet_and_every_row_once() -> None:
     rows = [(f"row{n};", str(n)) for n in range(220)]
     found = read(write([Table(("name", "figure"), tuple(rows), "numbers small")], "title"))
