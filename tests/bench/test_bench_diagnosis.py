@@ -69,7 +69,7 @@ def test_an_ordinary_campaign(effects: tuple[str, ...], record_property: Record,
     assert {one["effect"] for one in json.loads(out.read_text())["findings"]} == set(effects)
     what = "+".join(effects) or "nothing to find"
     usual_s = median(seconds for seconds, _ in rounds[1:])
-    for name, value in (("with start, ", usual_s), ("", median(alone[1:]))):
+    for name, value in (("program start included, ", usual_s), ("", median(alone[1:]))):
         said = f"diagnosis, {len(records)} rows × {len(keep)} columns, {name}{what}"
         row(record_property, said, value, 1.0, "s", beside="asked", asked="≤ 1")
     assert usual_s < 5.0

@@ -52,7 +52,7 @@ def text() -> str:
     for section, given in SECTIONS.items():
         keys = ", ".join(f"`{key}`" for key in inspect.get_annotations(given))
         parts.append(f"- of `[{section}]` as `**{given.__name__}`: {keys}")
-    parts.append("\n## Errors\n\nAll are a `hil.BridgeError`; brackets name the error that one is a kind of.\n")
+    parts.append("\n## Errors\n\nEach is a `hil.BridgeError`, and also the error in brackets.\n")
     for name, one in errors.items():
         base = one.__bases__[0].__name__
         kind = f" ({base})" if base in errors and base != "BridgeError" else ""
