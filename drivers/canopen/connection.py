@@ -18,16 +18,17 @@ from drivers.canopen.pdo import (
     COB_ID,
     EVENT,
     EXISTS_NOT,
+    KIND,
     MAKERS_EVENT,
     SYNC_EVERY,
     Pdo,
-    PdoImage,
     PdoSpec,
 )
 from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, spec_of
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.sync import SYNC
+from drivers.canopen.whole_pdo import PdoImage
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.cia402.wire import OBJECT_MISSING
@@ -98,9 +99,9 @@ class Connection:
         Raises as `set_up`."""
         undo_all([("", self._pdos.restore)] if self._pdos is not None else [])
         for image in [] if self._pdos is None else self._pdos.found:
-            if image.pdo.transmit and not image.cob_id & EXISTS_NOT:
+            if image.pdo.transmit and image.exists:
                 with suppress(AbortError):
-                    self._set_for_now(image.pdo.setting(COB_ID), image.cob_id | EXISTS_NOT)
+                    self._set_for_now(image.pdo.setting(COB_ID), image.numbers[False, COB_ID] | EXISTS_NOT)
         self.stop_rpdo = self.rpdo = None
         self.no_stream = "its PDOs are not those that were set up"
         self.notes.append(
@@ -235,7 +236,7 @@ class Connection:
         images: Sequence[PdoImage] = () if self._pdos is None else self._pdos.found
         for image in images:
             alone = image.mapped == (objects.CONTROLWORD.mapping,)
-            if alone and not image.pdo.transmit and not image.cob_id & EXISTS_NOT and image.kind >= MAKERS_EVENT:
+            if alone and not image.pdo.transmit and image.exists and image.numbers[False, KIND] >= MAKERS_EVENT:
                 return replace(spec_of(image), only_stops=True)
         return None
 

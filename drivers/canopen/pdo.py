@@ -1,12 +1,12 @@
-"""Process data objects as data: mapped objects, packing, and whether a drive's PDO equals the wanted one.
+"""Process data objects as data: their parameters in the dictionary, mapped objects, packing.
 
-`pdo_setup` reads and writes them in a drive; `pdo_lint` checks a set of them.
+`whole_pdo` reads and writes one in a drive, `pdo_setup` those that a drive is opened with; `pdo_lint` checks a set of them.
 """
 
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 from drivers.cia402.objects import DataType, Entry
@@ -120,6 +120,11 @@ class PdoSpec:
         return Pdo.numbered(self.number, transmit=self.transmit)
 
     @property
+    def cob_id_entry(self) -> int:
+        """The value of its COB-ID entry while it is in force."""
+        return self.cob_id | (NO_RTR if self.transmit else 0)
+
+    @property
     def bits(self) -> int:
         """Number of bits mapped."""
         return sum(entry.bits for entry in self.entries)
@@ -128,30 +133,3 @@ class PdoSpec:
     def codec(self) -> struct.Struct:
         """Packs and unpacks all mapped values at once (little endian)."""
         return struct.Struct("<" + "".join(entry.type.format.lstrip("<") for entry in self.entries))
-
-
-@dataclass(frozen=True)
-class PdoImage:
-    """The parameters of one PDO as read from the drive, to be restored later."""
-
-    pdo: Pdo
-    cob_id: int
-    kind: int
-    mapped: tuple[int, ...] = field(default=())
-    beyond: tuple[int, ...] = field(default=())  # entries behind the mapped ones, as found
-
-
-def wanted_image(spec: PdoSpec) -> PdoImage:
-    """The image that a spec asks for."""
-    cob_id = spec.cob_id | (NO_RTR if spec.transmit else 0)
-    return PdoImage(spec.pdo, cob_id, spec.kind, tuple(entry.mapping for entry in spec.entries))
-
-
-def same(present: PdoImage, wanted: PdoImage) -> bool:
-    """Whether a drive's image equals the wanted one; the bits of the COB-ID that a drive may ignore are left out."""
-    ignored = NO_RTR
-    return (present.cob_id & ~ignored, present.kind, present.mapped) == (
-        wanted.cob_id & ~ignored,
-        wanted.kind,
-        wanted.mapped,
-    )

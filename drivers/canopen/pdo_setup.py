@@ -1,7 +1,6 @@
 """Setting up a drive's PDOs and restoring them: survey, lint, write, verify, restore.
 
-The order of writes is that of CiA-301 (disable, clear, map, set, enable), and everything is read back. `pdo` holds the data,
-`pdo_lint` the checks.
+Everything is read back. `whole_pdo` reads and writes one PDO, `pdo_lint` has the checks.
 """
 
 from __future__ import annotations
@@ -16,17 +15,14 @@ from drivers.canopen.pdo import (
     EXISTS_NOT,
     ID_MASK,
     KIND,
-    NO_RTR,
     Pdo,
-    PdoImage,
     PdoSpec,
-    same,
-    wanted_image,
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
+from drivers.canopen.whole_pdo import KEPT, PdoImage, described, read_pdo, wanted_image, write_pdo
 from drivers.cia402.objects import DataType, Entry
-from drivers.errors import AbortError, BridgeError, InputError, NoAnswerError, ProtocolError
+from drivers.errors import AbortError, BridgeError, InputError, ProtocolError
 from drivers.undo import undo_all
 
 SURVEYED = 4  # of each direction: the predefined connection set
@@ -44,14 +40,9 @@ def entry_of(mapped: int) -> Entry:
 
 def spec_of(image: PdoImage) -> PdoSpec:
     """A drive's image as a spec. Raises InputError when it maps more than 64 bits."""
-    pdo, entries = image.pdo, tuple(entry_of(mapped) for mapped in image.mapped)
-    return PdoSpec(pdo.number, pdo.transmit, image.cob_id & ID_MASK, image.kind, entries)
-
-
-READ_ONLY = 0x06010002
-KEPT = (READ_ONLY, 0x06090030)
-"""A COB-ID that is read-only, or whose bit 31 a drive does not know (invalid value)."""
-GENERAL = 0x08000000
+    pdo, entries = image.pdo, tuple(entry_of(mapped) for mapped in image.mapped or ())
+    cob_id, kind = image.numbers[False, COB_ID], image.numbers[False, KIND]
+    return PdoSpec(pdo.number, pdo.transmit, cob_id & ID_MASK, kind, entries)
 
 
 class PdoRefusedError(AbortError):
@@ -106,21 +97,21 @@ class PdoSetup:
         return [
             image
             for image in self._before
-            if image.pdo not in places and not image.cob_id & EXISTS_NOT and (self._alone or self._conflicts(image))
+            if image.pdo not in places and image.exists and (self._alone or self._conflicts(image))
         ]
 
     def _conflicts(self, image: PdoImage) -> bool:
         """Whether an active PDO uses one of our COB-IDs, or could command what ours command."""
         commanded = {entry.mapping for spec in self.wanted if not spec.transmit for entry in spec.entries}
-        own_id = image.cob_id & ID_MASK in {spec.cob_id for spec in self.wanted}
-        return own_id or (not image.pdo.transmit and not commanded.isdisjoint(image.mapped))
+        own_id = image.numbers[False, COB_ID] & ID_MASK in {spec.cob_id for spec in self.wanted}
+        return own_id or (not image.pdo.transmit and not commanded.isdisjoint(image.mapped or ()))
 
     def lint(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
         """Findings on the wanted PDOs together with those that remain."""
         replaced = {spec.pdo for spec in self.wanted} | {image.pdo for image in self.in_the_way()}
         staying = []
         for image in self._before:
-            if image.pdo not in replaced and not image.cob_id & EXISTS_NOT:
+            if image.pdo not in replaced and image.exists:
                 with suppress(InputError):  # an impossible PDO of the drive itself is not checked
                     staying.append(spec_of(image))
         dictionaries = None if dictionary is None else {self._node_id: dictionary}
@@ -148,7 +139,7 @@ class PdoSetup:
             for image in self.in_the_way():
                 self._changed.append(image)
                 try:
-                    self._sdo.write(image.pdo.setting(COB_ID), image.cob_id | EXISTS_NOT)
+                    self._sdo.write(image.pdo.setting(COB_ID), image.numbers[False, COB_ID] | EXISTS_NOT)
                 except AbortError as error:
                     if error.code not in KEPT or self._conflicts(image):
                         raise
@@ -156,7 +147,7 @@ class PdoSetup:
             for spec in self.wanted:
                 before = next((image for image in self._before if image.pdo == spec.pdo), None)
                 before = self._found(spec) if before is None else before
-                if not same(before, wanted_image(spec)):
+                if not before.holds(wanted_image(spec)):
                     self._changed.append(before)
                     configure(self._sdo, spec)
         except BaseException as error:
@@ -178,7 +169,8 @@ class PdoSetup:
 
         def put_back(image: PdoImage) -> None:
             try:
-                _put_back(self._sdo, image)
+                present = read_image(self._sdo, image.pdo, max(sub for of, sub in image.numbers if of))
+                self._sdo.run(write_pdo(self._sdo, present, image, beyond=True))
             except BaseException:
                 self._changed.insert(0, image)  # so that it can be tried again
                 raise
@@ -188,101 +180,8 @@ class PdoSetup:
 
 # -- one PDO of a drive ------------------------------------------------------------------------------------------------
 def read_image(sdo: SdoClient, pdo: Pdo, entries: int = 0) -> PdoImage:
-    """A PDO of the drive. entries: number of objects that are to be mapped, whose places are read too where fewer are mapped now.
-
-    Raises ProtocolError for an impossible number of mapped objects."""
-    count = sdo.read(pdo.mapped(0))
-    if count > 64:
-        raise ProtocolError(f"{sdo.name}: {pdo.mapping:04X}h:00 says {count} mapped objects")
-    return PdoImage(
-        pdo,
-        sdo.read(pdo.setting(COB_ID)),
-        sdo.read(pdo.setting(KIND)),
-        tuple(sdo.read(pdo.mapped(subindex)) for subindex in range(1, count + 1)),
-        _beyond(sdo, pdo, range(count + 1, entries + 1)),
-    )
-
-
-def _beyond(sdo: SdoClient, pdo: Pdo, subindices: range) -> tuple[int, ...]:
-    """Entries behind the mapped ones that a mapping would overwrite; as far as the drive shows them."""
-    found: list[int] = []
-    for subindex in subindices:
-        try:
-            found.append(sdo.read(pdo.mapped(subindex)))
-        except AbortError:
-            break
-    return tuple(found)
-
-
-def write_image(sdo: SdoClient, image: PdoImage, steps: list[Entry] | None = None) -> None:
-    """Disable, clear, map, set, enable (CiA-301, 7.5.2.36). steps: filled with the entries that were to be written.
-
-    Raises AbortError where the drive refuses a step."""
-
-    def write(entry: Entry, value: int) -> None:
-        if steps is not None:
-            steps.append(entry)
-        _write(sdo, entry, value)
-
-    fixed = _fixed_cob_id(sdo, image, write)
-    write(image.pdo.mapped(0), 0)
-    for subindex, mapped in enumerate(image.mapped, start=1):
-        write(image.pdo.mapped(subindex), mapped)
-    for subindex, mapped in enumerate(image.beyond, start=len(image.mapped) + 1):
-        with suppress(AbortError):  # behind the mapped ones: a drive may refuse what cannot be mapped
-            sdo.write(image.pdo.mapped(subindex), mapped)
-    write(image.pdo.mapped(0), len(image.mapped))
-    kind = image.pdo.setting(KIND)
-    try:
-        write(kind, image.kind)
-    except AbortError as error:
-        if error.code != READ_ONLY or sdo.read(kind) != image.kind:
-            raise
-    if not image.cob_id & EXISTS_NOT and not fixed:
-        write(image.pdo.setting(COB_ID), image.cob_id)
-
-
-def _put_back(sdo: SdoClient, image: PdoImage) -> None:
-    """Write an earlier image. A drive whose mapping is read-only has it still: only type and COB-ID are written then."""
-    try:
-        write_image(sdo, image)
-        return
-    except AbortError:
-        if read_image(sdo, image.pdo).mapped != image.mapped:
-            raise
-    kind = image.pdo.setting(KIND)
-    if sdo.read(kind) != image.kind:
-        sdo.write(kind, image.kind)
-    cob_id = image.pdo.setting(COB_ID)
-    if not image.cob_id & EXISTS_NOT and sdo.read(cob_id) != image.cob_id:
-        sdo.write(cob_id, image.cob_id)
-
-
-def _write(sdo: SdoClient, entry: Entry, value: int) -> None:
-    """Write a parameter of a PDO, a second time where the drive did not answer and still has the old value: that changes no other.
-
-    Raises AbortError too for one that answers a read of it and neither of the writes; else as `SdoClient.write`."""
-    for again in (False, True):
-        try:
-            sdo.write(entry, value)
-            return
-        except NoAnswerError as error:
-            sdo.read(entry)  # a drive that does not answer at all ends it
-            if again:
-                raise AbortError(f"{sdo.name}: a write to {entry} is not answered", GENERAL) from error
-
-
-def _fixed_cob_id(sdo: SdoClient, image: PdoImage, write: Callable[[Entry, int], None]) -> bool:
-    """Switch the PDO off; True where that is refused and its COB-ID is the wanted one: it is changed with a count of 0 alone."""
-    entry = image.pdo.setting(COB_ID)
-    try:
-        write(entry, image.cob_id | EXISTS_NOT)
-    except AbortError as error:
-        ignored = NO_RTR
-        if error.code in KEPT and sdo.read(entry) & ~ignored == image.cob_id & ~ignored:
-            return True
-        raise
-    return False
+    """As `read_pdo`, of what is set up here: COB-ID, transmission type and mapping."""
+    return sdo.run(read_pdo(sdo, pdo, (COB_ID, KIND), entries))
 
 
 def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
@@ -292,13 +191,13 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
     """
     before = read_image(sdo, spec.pdo, len(spec.entries))
     wanted = wanted_image(spec)
-    if same(before, wanted):
+    if before.holds(wanted):
         return before
-    steps: list[Entry] = []
+    tried: list[Entry] = []
     try:
-        write_image(sdo, wanted, steps)
+        sdo.run(write_pdo(sdo, before, wanted, tried=tried))
     except AbortError as error:
-        last = steps[-1]
+        last = tried[-1]
         maps = last.index == spec.pdo.mapping and 0 < last.subindex <= len(spec.entries)
         raise PdoRefusedError(
             f"{spec} cannot be configured: {error}",
@@ -308,6 +207,7 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
             kind=last == spec.pdo.setting(KIND),
         ) from error
     after = read_image(sdo, spec.pdo)
-    if not same(after, wanted):
-        raise ProtocolError(f"{sdo.name}: {spec} reads back {after}, written was {wanted}")
+    if not after.holds(wanted):
+        texts = [described(image.pack()) for image in (after, wanted)]
+        raise ProtocolError(f"{sdo.name}: {spec} reads back {texts[0]}; written was {texts[1]}")
     return before

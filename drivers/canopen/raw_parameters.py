@@ -15,11 +15,10 @@ from drivers.canopen.eds_text import summary
 from drivers.canopen.known_objects import FITTING, address_of, kind_of, known_objects, range_of, unit_text
 from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
-from drivers.canopen.pdo import Pdo
 from drivers.canopen.sdo import most_bytes
 from drivers.canopen.sdo_cost import transfer
 from drivers.canopen.side_by_side import CanLine
-from drivers.canopen.whole_pdo import Block, WholePdo, described, pdo_at
+from drivers.canopen.whole_pdo import PdoImage, described, pdo_at, read_pdo, write_pdo
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.cia402.state_machine import decode_state
@@ -167,7 +166,7 @@ class CanOpenRawParameters(RawParameters):
         except ValueError as error:
             raise InputError(f"raw is {raw!r}, expected hexadecimal digits") from error
         if pdo_at(entry.address) is not None:
-            Block.unpack(data)
+            PdoImage.unpack(data)
             return data
         size = self._entry(entry).type.size
         if size and len(data) != size:
@@ -180,11 +179,11 @@ class CanOpenRawParameters(RawParameters):
         return data.hex()
 
     def outside(self, entry: RawParameter, data: bytes) -> str | None:
-        return super().outside(entry, data) if pdo_at(entry.address) is None else Block.unpack(data).objection()
+        return super().outside(entry, data) if pdo_at(entry.address) is None else PdoImage.unpack(data).objection()
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
         if pdo_at(entry.address) is not None:
-            return Block.unpack(shown).holds(Block.unpack(meant))
+            return PdoImage.unpack(shown).holds(PdoImage.unpack(meant))
         return self._entry(entry).same(shown, meant)
 
     def rank(self, address: str) -> int:
@@ -201,7 +200,7 @@ class CanOpenRawParameters(RawParameters):
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
         total = WireTime()
         for address, data in (*reads, *writes):
-            parts = [part for _, part in Block.unpack(data).items] if pdo_at(address) else [data]
+            parts = [part for _, part in PdoImage.unpack(data).items] if pdo_at(address) else [data]
             for part in parts:
                 total = total + transfer(len(part), self.bitrate)
         return total
@@ -231,17 +230,16 @@ class CanOpenRawParameters(RawParameters):
         pdo = pdo_at(address)
         if pdo is None:
             return (yield from self._upload(self._keys[address].entry))
-        return (yield from self._whole(pdo).read()).pack()
+        return (yield from read_pdo(self._node.sdo, pdo)).pack()
 
     def _writing(self, address: str, data: bytes) -> Steps[None]:
         pdo = pdo_at(address)
         if pdo is None:
             yield from self._download(self._keys[address].entry, data)
         else:
-            yield from self._whole(pdo).write(Block.unpack(data))
-
-    def _whole(self, pdo: Pdo) -> WholePdo:
-        return WholePdo(pdo, self._upload, self._download)
+            present, meant = (yield from read_pdo(self._node.sdo, pdo)), PdoImage.unpack(data)
+            if not present.holds(meant):
+                yield from write_pdo(self._node.sdo, present, meant)
 
     def _read_units(self, scaling: AxisScaling, vendor: int) -> Steps[MotionScaling | None]:
         """Of velocity and acceleration, by the axis file, the drive's objects, its maker's manual or the standard; None where one of

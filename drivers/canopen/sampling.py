@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 
 from drivers.canopen.bus import FrameHandler
 from drivers.canopen.node import Node
-from drivers.canopen.pdo import COB_ID, EXISTS_NOT, SYNC_EVERY, PdoSpec, wanted_image
+from drivers.canopen.pdo import COB_ID, EXISTS_NOT, SYNC_EVERY, PdoSpec
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.sync import SYNC
 from drivers.cia402 import objects
@@ -114,7 +114,7 @@ class Sampler:
         ours = self.by_own_sync
         if not self.by_sdo and ours is not self._in_sync:
             for spec in self.specs:
-                self._sdo.write(spec.pdo.setting(COB_ID), wanted_image(spec).cob_id | (0 if ours else EXISTS_NOT))
+                self._sdo.write(spec.pdo.setting(COB_ID), spec.cob_id_entry | (0 if ours else EXISTS_NOT))
             self._in_sync = ours
         return ours
 

@@ -252,7 +252,11 @@ class SdoClient:
 
     def read(self, entry: Entry) -> int:
         """Read an integer object. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
-        value = entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=most_bytes(entry)))
+        return self.run(self.getting(entry))
+
+    def getting(self, entry: Entry) -> Steps[int]:
+        """As `read`."""
+        value = entry.unpack((yield from self.reading(self.index_of(entry), entry.subindex, most_bytes(entry))))
         if not isinstance(value, int):
             raise ProtocolError(f"{self.name}: {entry} is no integer: {value!r}")
         return value
@@ -280,18 +284,22 @@ class SdoClient:
 
     def write(self, entry: Entry, value: float) -> None:
         """Write a numeric object; returns once the device has accepted it. Raises InputError, and as `write_bytes`."""
+        self.run(self.putting(entry, value))
+
+    def putting(self, entry: Entry, value: float) -> Steps[None]:
+        """As `write`."""
         index, data = self.index_of(entry), entry.pack(value)
         try:
-            self.write_bytes(index, entry.subindex, data, same=entry.same)
+            yield from self.writing(index, entry.subindex, data, same=entry.same)
         except AbortError as error:
-            wide = self._as_wide_as_shown(index, entry, value) if error.code in WRONG_LENGTH else None
+            wide = (yield from self._as_wide_as_shown(index, entry, value)) if error.code in WRONG_LENGTH else None
             if wide is None:
                 raise
-            self.write_bytes(index, entry.subindex, wide)
+            yield from self.writing(index, entry.subindex, wide)
 
-    def _as_wide_as_shown(self, index: int, entry: Entry, value: float) -> bytes | None:
+    def _as_wide_as_shown(self, index: int, entry: Entry, value: float) -> Steps[bytes | None]:
         """The value with as many bytes as the device answers for the object; None where that is not another width."""
-        shown = len(self.read_bytes(index, entry.subindex, most=most_bytes(entry)))
+        shown = len((yield from self.reading(index, entry.subindex, most_bytes(entry))))
         if shown == entry.type.size or not 1 <= shown <= 8 or not isinstance(value, int):
             return None
         try:
@@ -305,7 +313,7 @@ class SdoClient:
 
         Raises AbortError, NoAnswerError, ProtocolError, LinkLostError.
         """
-        return self._run(self.reading(index, subindex, most, block=block))
+        return self.run(self.reading(index, subindex, most, block=block))
 
     def write_bytes(
         self,
@@ -325,12 +333,11 @@ class SdoClient:
         Raises AbortError when the device refuses, NoAnswerError when it did not answer and reading back shows (or cannot
         show) that the value was not written, LinkLostError.
         """
-        talk = Conversation(index, subindex)
-        transfer = block_download(talk, data) if block else download(talk, data)
-        meant = Meant(talk, data, reads_back, same)
-        self._run(self._written(Running(self, talk, transfer, timeout_s), meant))
+        self.run(
+            self.writing(index, subindex, data, block=block, timeout_s=timeout_s, reads_back=reads_back, same=same)
+        )
 
-    def _run(self, steps: Steps[T]) -> T:
+    def run(self, steps: Steps[T]) -> T:
         """Run an access to its end, as `CanLine.run` does for several nodes."""
         with self.link.talking, contextlib.closing(steps):
             while True:
@@ -365,20 +372,17 @@ class SdoClient:
         subindex: int,
         data: bytes,
         *,
+        block: bool = False,
         timeout_s: float | None = None,
         reads_back: bool = True,
         same: Same = operator.eq,
     ) -> Steps[None]:
         """As `write_bytes`."""
         talk = Conversation(index, subindex)
-        yield from self._written(
-            Running(self, talk, download(talk, data), timeout_s), Meant(talk, data, reads_back, same)
-        )
-
-    def _written(self, running: Running[None], meant: Meant) -> Steps[None]:
+        running = Running(self, talk, block_download(talk, data) if block else download(talk, data), timeout_s)
         yield from self._turn(running)
         if isinstance(running.error, NoAnswerError):
-            yield from self._resolved(meant, running.error)
+            yield from self._resolved(Meant(talk, data, reads_back, same), running.error)
         else:
             running.outcome()
 
@@ -389,7 +393,7 @@ class SdoClient:
     # -- writes whose answer was lost ----------------------------------------------------------------------------------
     def resolve(self, meant: Meant, lost: NoAnswerError) -> None:
         """Find out whether a write without an answer was carried out. Returns when it was; raises AbortError, NoAnswerError."""
-        self._run(self._resolved(meant, lost))
+        self.run(self._resolved(meant, lost))
 
     def _resolved(self, meant: Meant, lost: NoAnswerError) -> Steps[None]:
         with self._unknown(lost), self._late_answers() as late:

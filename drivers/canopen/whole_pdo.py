@@ -1,13 +1,14 @@
 """One PDO of a node as a single parameter: communication and mapping parameters read, compared and written as a whole.
 
-A PDO is written in the order of CiA 301 (7.5.2.36): disabled, count 0, entries, count, transmission parameters, then enabled as
-wanted; entry by entry a drive would refuse it, or exchange a half-written PDO. Its bytes in a set are those of a concise DCF.
+`write_pdo` is the only writer of mappings: entry by entry a drive would refuse it, or exchange a half-written PDO. The bytes of a PDO
+in a parameter set are those of a concise DCF.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -23,17 +24,23 @@ from drivers.canopen.pdo import (
     SETTINGS,
     SYNC_START,
     Pdo,
+    PdoSpec,
     pdo_entry,
     pdo_of,
 )
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.sdo_transfer import ABORT_GENERAL
 from drivers.cia402.objects import Entry
 from drivers.cia402.wire import OBJECT_MISSING
-from drivers.errors import AbortError, InputError, ProtocolError
+from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError
 from drivers.raw_parameters import Steps
 
 _ADDRESS = re.compile(r"^(1[4-7][0-9A-F]{2}|1[89AB][0-9A-F]{2})h PDO$")
 MOST_ENTRIES = 64
 _TEXT_ENTRIES = 8
+READ_ONLY = 0x06010002
+KEPT = (READ_ONLY, 0x06090030)
+"""A COB-ID that is read-only, or whose bit 31 a drive does not know (invalid value)."""
 
 
 def pdo_at(address: str) -> Pdo | None:
@@ -43,18 +50,20 @@ def pdo_at(address: str) -> Pdo | None:
 
 
 @dataclass(frozen=True)
-class Block:
-    """Parameters of one PDO, or some of them. items: ((index, sub-index), bytes) in the order of writing."""
+class PdoImage:
+    """Parameters of one PDO, or some of them, as a node shows them or as they are meant.
+
+    items: ((index, sub-index), bytes) in the order of writing."""
 
     items: tuple[tuple[Key, bytes], ...]
 
     @classmethod
-    def of(cls, items: Iterable[tuple[Key, bytes]]) -> Block:
+    def of(cls, items: Iterable[tuple[Key, bytes]]) -> PdoImage:
         """The block of objects as they come; where one is repeated (disabled, filled, enabled) its last value counts."""
         return cls(tuple(dict(items).items()))
 
     @classmethod
-    def unpack(cls, data: bytes) -> Block:
+    def unpack(cls, data: bytes) -> PdoImage:
         """Read the bytes of a set. Raises InputError for objects of more than one PDO, or sizes that are none."""
         block = cls.of(unpack_concise(data))
         if len({pdo_of(index) for (index, _), _ in block.items}) != 1:
@@ -68,6 +77,11 @@ class Block:
         """The bytes of a set."""
         return pack_concise(self.items)
 
+    @property
+    def pdo(self) -> Pdo:
+        """Whose they are."""
+        return Pdo(self.items[0][0][0] & ~0x200)
+
     @cached_property
     def numbers(self) -> dict[tuple[bool, int], int]:
         """(whether it is of the mapping, sub-index) -> value."""
@@ -76,6 +90,11 @@ class Block:
     @property
     def cob_id(self) -> int | None:
         return self.numbers.get((False, COB_ID))
+
+    @property
+    def exists(self) -> bool:
+        """Whether it is in force, by its COB-ID."""
+        return not self.numbers[False, COB_ID] & EXISTS_NOT
 
     @property
     def mapped(self) -> tuple[int, ...] | None:
@@ -99,7 +118,7 @@ class Block:
         bits = sum(value & 0xFF for value in mapped)
         return f"maps {bits} bits, at most 64 fit" if bits > 64 else None
 
-    def holds(self, meant: Block) -> bool:
+    def holds(self, meant: PdoImage) -> bool:
         """Whether this one, read from a node, is as meant. Bit 30 of the COB-ID is left out: nodes may ignore it."""
         if meant.mapped is not None and self.mapped != meant.mapped:
             return False
@@ -112,7 +131,7 @@ class Block:
 
 def described(data: bytes) -> str:
     """A PDO as text: COB-ID, transmission type, times, mapped objects."""
-    block = Block.unpack(data)
+    block = PdoImage.unpack(data)
     words = []
     if block.cob_id is not None:
         words.append(f"{block.cob_id & 0x1FFFFFFF:03X}h{' off' if block.cob_id & EXISTS_NOT else ''}")
@@ -125,71 +144,107 @@ def described(data: bytes) -> str:
     return ", ".join(words)
 
 
-@dataclass(frozen=True)
-class WholePdo:
-    """A PDO in a node. upload, download: one object's transfer, as steps."""
+def wanted_image(spec: PdoSpec) -> PdoImage:
+    """The parameters that a spec asks for."""
+    values = [
+        (spec.pdo.setting(COB_ID), spec.cob_id_entry),
+        (spec.pdo.setting(KIND), spec.kind),
+        (spec.pdo.mapped(0), len(spec.entries)),
+        *((spec.pdo.mapped(sub), entry.mapping) for sub, entry in enumerate(spec.entries, start=1)),
+    ]
+    return PdoImage.of((entry.key, entry.pack(value)) for entry, value in values)
 
-    pdo: Pdo
-    upload: Callable[[Entry], Steps[bytes]]
-    download: Callable[[Entry, bytes], Steps[None]]
 
-    def read(self) -> Steps[Block]:
-        """All its parameters; times that the node does not have are left out. Raises ProtocolError for an impossible count, and what
-        the transfers raise."""
-        items: list[tuple[Key, bytes]] = []
-        for sub in SETTINGS:
-            entry = self.pdo.setting(sub)
-            try:
-                data = yield from self.upload(entry)
-            except AbortError as error:
-                if sub <= KIND or error.code not in OBJECT_MISSING:
-                    raise
-                continue
-            items.append((entry.key, data[: entry.type.size]))
-        count_entry = self.pdo.mapped(0)
-        data = yield from self.upload(count_entry)
-        count = int(count_entry.unpack(data))
-        if count > MOST_ENTRIES:
-            raise ProtocolError(f"{self.pdo.name} says it maps {count} objects")
-        items.append((count_entry.key, data[:1]))
-        for sub in range(1, count + 1):
-            entry = self.pdo.mapped(sub)
-            items.append((entry.key, (yield from self.upload(entry))[: entry.type.size]))
-        return Block(tuple(items))
+# -- in a node ---------------------------------------------------------------------------------------------------------
+def read_pdo(sdo: SdoClient, pdo: Pdo, settings: Iterable[int] = tuple(SETTINGS), entries: int = 0) -> Steps[PdoImage]:
+    """Its parameters; times that the node does not have are left out. settings: sub-indices of the communication parameter.
 
-    def write(self, meant: Block) -> Steps[None]:
-        """Bring the node's PDO to what is meant, parameters not given stay as they are. Nothing is written where it is so already.
+    entries: number of mapping entries to be read, also behind those that are mapped, as far as the node shows them
+    Raises ProtocolError for an impossible count, and what the transfers raise."""
+    items: list[tuple[Key, bytes]] = []
 
-        Raises what the transfers raise.
-        """
-        present = yield from self.read()
-        if present.holds(meant):
+    def get(entry: Entry) -> Steps[int]:
+        value = yield from sdo.getting(entry)
+        items.append((entry.key, entry.pack(value)))
+        return value
+
+    for sub in settings:
+        try:
+            yield from get(pdo.setting(sub))
+        except AbortError as error:
+            if sub <= KIND or error.code not in OBJECT_MISSING:
+                raise
+    count = yield from get(pdo.mapped(0))
+    if count > MOST_ENTRIES:
+        raise ProtocolError(f"{sdo.name}: {pdo.name} says that it maps {count} objects")
+    for sub in range(1, count + 1):
+        yield from get(pdo.mapped(sub))
+    with suppress(AbortError):
+        for sub in range(count + 1, entries + 1):
+            yield from get(pdo.mapped(sub))
+    return PdoImage(tuple(items))
+
+
+def write_pdo(
+    sdo: SdoClient, present: PdoImage, meant: PdoImage, *, beyond: bool = False, tried: list[Entry] | None = None
+) -> Steps[None]:
+    """Bring a node's PDO from `present` to what is meant: disable, clear, map, set, enable (CiA 301, 7.5.2.36).
+
+    What is so already, or not given, stays as it is. beyond: the entries behind the mapped ones are written too, as far as the node
+    lets them; tried: filled with the entries that were to be written. Raises what the transfers raise, AbortError too for a node that
+    answers a read of an entry and neither of two writes.
+    """
+    pdo, now = present.pdo, present.numbers[False, COB_ID]
+    cob_id = now if meant.cob_id is None else meant.cob_id
+
+    def put(entry: Entry, value: int) -> Steps[None]:
+        if tried is not None:
+            tried.append(entry)
+        return _put(sdo, entry, value)
+
+    off, fixed = now | EXISTS_NOT, False
+    if now != off:
+        try:
+            yield from put(pdo.setting(COB_ID), off)
+        except AbortError as error:
+            if error.code not in KEPT or (now ^ cob_id) & ~NO_RTR:
+                raise
+            fixed = True  # its COB-ID is the wanted one: it is changed with a count of 0 alone
+    behind = {(of, sub): value for (of, sub), value in meant.numbers.items() if of and sub > len(meant.mapped or ())}
+    overwritten = beyond and any(present.numbers.get(place) != value for place, value in behind.items())
+    if meant.mapped is not None and (meant.mapped != present.mapped or overwritten):
+        yield from put(pdo.mapped(0), 0)
+        for sub, value in enumerate(meant.mapped, start=1):
+            yield from put(pdo.mapped(sub), value)
+        for (_, sub), value in behind.items() if beyond else ():
+            with suppress(AbortError):  # a node may refuse what cannot be mapped
+                yield from sdo.putting(pdo.mapped(sub), value)
+        yield from put(pdo.mapped(0), len(meant.mapped))
+    for sub in (KIND, INHIBIT, EVENT_TIMER, SYNC_START):
+        wanted = meant.numbers.get((False, sub))
+        if wanted is not None and wanted != present.numbers.get((False, sub)):
+            yield from put(pdo.setting(sub), wanted)
+    if cob_id != off and not fixed:
+        yield from put(pdo.setting(COB_ID), cob_id)
+
+
+def _put(sdo: SdoClient, entry: Entry, value: int) -> Steps[None]:
+    """Write an entry, a second time where the node did not answer and still has the old value: that changes no other."""
+    for again in (False, True):
+        try:
+            yield from sdo.putting(entry, value)
             return
-        now = present.cob_id or 0
-        cob_id = now if meant.cob_id is None else meant.cob_id
-        if not now & EXISTS_NOT:
-            yield from self._put(self.pdo.setting(COB_ID), now | EXISTS_NOT)
-        if meant.mapped is not None and meant.mapped != present.mapped:
-            yield from self._put(self.pdo.mapped(0), 0)
-            for sub, value in enumerate(meant.mapped, start=1):
-                yield from self._put(self.pdo.mapped(sub), value)
-            yield from self._put(self.pdo.mapped(0), len(meant.mapped))
-        for sub in (KIND, INHIBIT, EVENT_TIMER, SYNC_START):
-            wanted = meant.numbers.get((False, sub))
-            if wanted is not None and wanted != present.numbers.get((False, sub)):
-                yield from self._put(self.pdo.setting(sub), wanted)
-        if (cob_id ^ (now | EXISTS_NOT)) & ~NO_RTR:
-            yield from self._put(self.pdo.setting(COB_ID), cob_id)
-
-    def _put(self, entry: Entry, value: int) -> Steps[None]:
-        yield from self.download(entry, entry.pack(value))
+        except NoAnswerError as error:
+            yield from sdo.getting(entry)  # a node that does not answer at all ends it
+            if again:
+                raise AbortError(f"{sdo.name}: a write to {entry} is not answered", ABORT_GENERAL) from error
 
 
-def wholes(items: Sequence[tuple[Key, bytes]]) -> dict[Pdo, Block]:
+def wholes(items: Sequence[tuple[Key, bytes]]) -> dict[Pdo, PdoImage]:
     """The PDOs among objects in their order of writing, each with its parameters. The number of sub-indices is left out."""
     found: dict[Pdo, list[tuple[Key, bytes]]] = {}
     for (index, subindex), data in items:
         pdo = pdo_of(index)
         if pdo is not None and (index & 0x200 or subindex in SETTINGS):
             found.setdefault(pdo, []).append(((index, subindex), data))
-    return {pdo: Block.of(parts) for pdo, parts in found.items()}
+    return {pdo: PdoImage.of(parts) for pdo, parts in found.items()}

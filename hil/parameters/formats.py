@@ -11,7 +11,7 @@ from pathlib import Path
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import EdsFile, Key, load_eds
 from drivers.canopen.pdo import EXISTS_NOT, pdo_of
-from drivers.canopen.whole_pdo import Block, pdo_at, wholes
+from drivers.canopen.whole_pdo import PdoImage, pdo_at, wholes
 from drivers.errors import InputError
 from drivers.files import read_bytes, replace_file
 from drivers.raw_parameters import DriveIdentity, RawParameters
@@ -129,7 +129,7 @@ def write_any(path: Path, contents: ParameterSet, drive: RawParameters, form: st
     values: list[tuple[Key, bytes]] = []
     for each in wanted:
         if pdo_at(each.address) is not None:
-            values += Block.unpack(each.data).items
+            values += PdoImage.unpack(each.data).items
             continue
         key = object_key(each.address)
         if key is None:

@@ -148,6 +148,7 @@ def test_an_order_that_a_stop_falls_into_ends_without_another_enabling_word(rig:
         rig.dictionary.on_write(0x6081, 0, lambda _: presses.pop()() if presses else None)
         with pytest.raises(StateError, match="stop"):
             drive.start_move(50.0, 100.0)
+        rig.clock.sleep_s(0.01)  # the stop was sent without waiting
         assert rig.words
         assert not any(enables(word) for word, _ in rig.words)
 

@@ -15,7 +15,7 @@ from support.parameter_rigs import ParameterRig
 from drivers.canopen.dcf import pack_concise, unpack_concise
 from drivers.canopen.eds import load_eds
 from drivers.canopen.pdo import pdo_of
-from drivers.canopen.whole_pdo import Block
+from drivers.canopen.whole_pdo import PdoImage
 from drivers.clock import WallClock
 from drivers.errors import InputError
 from hil.app.main import main
@@ -363,21 +363,21 @@ def test_the_axis_files_eds_reaches_the_drive(maker: Path, tmp_path: Path) -> No
 
 
 def test_a_block_is_the_bytes_of_a_concise_dcf() -> None:
-    block = Block.of(LELY[:7])
+    block = PdoImage.of(LELY[:7])
     assert unpack_concise(block.pack()) == list(block.items)
     assert (block.cob_id, block.mapped) == (0x405, (0x60FF0020, 0x60400010))
-    assert Block.unpack(block.pack()) == block
+    assert PdoImage.unpack(block.pack()) == block
     with pytest.raises(InputError, match="expected the objects of one PDO"):
-        Block.unpack(pack_concise(LELY))
+        PdoImage.unpack(pack_concise(LELY))
 
 
 def test_what_a_node_may_ignore_is_no_difference() -> None:
     """Bit 30 of the COB-ID (no RTR), the entries behind the count, and what the set does not name."""
-    held = Block.of(
+    held = PdoImage.of(
         [((0x1800, 1), u32(0x40000185)), ((0x1800, 2), u8(1)), ((0x1A00, 0), u8(1)), ((0x1A00, 1), u32(0x60410010))]
     )
-    assert held.holds(Block.of([((0x1800, 1), u32(0x185)), ((0x1A00, 0), u8(1)), ((0x1A00, 1), u32(0x60410010))]))
-    assert not held.holds(Block.of([((0x1800, 1), u32(0x80000185))]))
-    assert not held.holds(Block.of([((0x1800, 2), u8(255))]))
-    assert not held.holds(Block.of([((0x1A00, 0), u8(1)), ((0x1A00, 1), u32(0x60640020))]))
-    assert not held.holds(Block.of([((0x1800, 5), u8(1))]))  # a time that the node does not have
+    assert held.holds(PdoImage.of([((0x1800, 1), u32(0x185)), ((0x1A00, 0), u8(1)), ((0x1A00, 1), u32(0x60410010))]))
+    assert not held.holds(PdoImage.of([((0x1800, 1), u32(0x80000185))]))
+    assert not held.holds(PdoImage.of([((0x1800, 2), u8(255))]))
+    assert not held.holds(PdoImage.of([((0x1A00, 0), u8(1)), ((0x1A00, 1), u32(0x60640020))]))
+    assert not held.holds(PdoImage.of([((0x1800, 5), u8(1))]))  # a time that the node does not have

@@ -5,12 +5,12 @@ from collections.abc import Iterator
 import pytest
 
 from drivers.canopen.bus import CanLink
-from drivers.canopen.pdo import EVENT, SYNC_EVERY, PdoSpec
+from drivers.canopen.pdo import EVENT, KIND, SYNC_EVERY, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup, configure, entry_of, read_image
 from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
-from drivers.errors import AbortError, InputError
+from drivers.errors import AbortError, InputError, ProtocolError
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault, CanFaultKind
 
@@ -103,18 +103,54 @@ def test_a_refusal_half_way_leaves_the_drive_as_it_was(bench: CanBench, sdo: Sdo
 
 
 @pytest.mark.parametrize("nth", range(1, 20))
-def test_a_refusal_of_any_write_leaves_the_drive_as_it_was(nth: int) -> None:
+@pytest.mark.parametrize("count", [1, 0])
+def test_a_refusal_of_any_write_leaves_the_drive_as_it_was(nth: int, count: int) -> None:
     fault = CanFault(CanFaultKind.SDO_WRITE_ABORTED, size=0x08000022, skip=nth - 1, count=1)
     bench = CanBench((NODE,), faults={NODE: [fault]})
     with CanLink(bench.port(), bench.clock) as link:
         sdo = SdoClient(link, NODE, "drive X")
-        found = _parameters(bench)
+        bench.slave.dictionary.set_number(0x1A00, 0, count)
+        found, entries = _parameters(bench), [bench.slave.dictionary.raw((0x1A00, number)) for number in range(4)]
         try:
             PdoSetup(sdo, NODE, (STREAM, FEEDBACK)).apply()
         except AbortError:
             assert _parameters(bench) == found
+            assert [bench.slave.dictionary.raw((0x1A00, number)) for number in range(4)] == entries
         else:
             assert nth > 15  # fewer writes than that were needed
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_entries_behind_the_mapped_ones_are_put_back_too(bench: CanBench, sdo: SdoClient, count: int) -> None:
+    dictionary = bench.slave.dictionary
+    dictionary.set_number(0x1A00, 0, count)
+    found = [dictionary.raw((0x1A00, subindex)) for subindex in range(4)]
+    setup = PdoSetup(sdo, NODE, (STREAM, FEEDBACK))
+    setup.apply()
+    assert [dictionary.raw((0x1A00, subindex)) for subindex in range(4)] != found
+    setup.restore()
+    assert [dictionary.raw((0x1A00, subindex)) for subindex in range(4)] == found
+
+
+def test_a_mapping_that_reads_back_otherwise_is_no_success(bench: CanBench, sdo: SdoClient) -> None:
+    bench.slave.dictionary.on_read(0x1A00, 2, lambda: objects.VELOCITY_ACTUAL.mapping)
+    with pytest.raises(ProtocolError, match=r"TPDO 1 \(185h\) reads back .*606Ch.*; written was .*6064h"):
+        PdoSetup(sdo, NODE, (STREAM, FEEDBACK)).apply()
+
+
+@pytest.mark.parametrize("nth", range(1, 70, 2))
+def test_a_request_that_was_lost_is_made_again(nth: int) -> None:
+    """The survey's reads come first, the writes are among the last 30 requests."""
+    fault = CanFault(CanFaultKind.SDO_REQUEST_LOST, skip=nth - 1, count=1)
+    bench = CanBench((NODE,), faults={NODE: [fault]})
+    with CanLink(bench.port(), bench.clock) as link:
+        sdo = SdoClient(link, NODE, "drive X", timeout_s=0.1)
+        PdoSetup(sdo, NODE, (STREAM, FEEDBACK)).apply()
+        assert sdo.counters.timeouts == 1
+        assert [bench.slave.dictionary.number(0x1A00, number) for number in (0, 3)] == [
+            3,
+            objects.TORQUE_ACTUAL.mapping,
+        ]
 
 
 def test_the_drive_refuses_to_be_remapped_while_the_pdo_exists(sdo: SdoClient) -> None:
@@ -132,4 +168,4 @@ def test_an_event_driven_pdo_reads_back(sdo: SdoClient) -> None:
     spec = PdoSpec(3, True, 0x385, EVENT, (objects.ERROR_CODE,))
     configure(sdo, spec)
     image = read_image(sdo, spec.pdo)
-    assert (image.kind, image.mapped) == (255, (0x603F0010,))
+    assert (image.numbers[False, KIND], image.mapped) == (255, (0x603F0010,))
