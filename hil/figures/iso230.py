@@ -14,25 +14,8 @@ from types import MappingProxyType
 import numpy as np
 
 from drivers.errors import InputError
+from hil.figures import FIGURES
 from hil.records.rows import Floats, Records
-
-FIGURES: Mapping[str, str] = MappingProxyType(
-    {
-        "A": "bi-directional accuracy of positioning",
-        "A_up": "unidirectional accuracy, direction +",
-        "A_down": "unidirectional accuracy, direction -",
-        "E": "bi-directional systematic deviation",
-        "E_up": "unidirectional systematic deviation, direction +",
-        "E_down": "unidirectional systematic deviation, direction -",
-        "M": "mean bi-directional positional deviation (range)",
-        "R": "bi-directional repeatability",
-        "R_up": "unidirectional repeatability, direction +",
-        "R_down": "unidirectional repeatability, direction -",
-        "B": "reversal value",
-        "B_mean": "mean reversal value (signed)",
-    }
-)
-"""Name of each figure of an axis, in the order of display, and the standard's term for it."""
 
 MEASURED_AT_A_REVERSAL: Mapping[str, str] = MappingProxyType(
     {

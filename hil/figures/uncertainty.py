@@ -36,8 +36,8 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.toml_types import NotNegative
-from hil.figures import target_choice
-from hil.figures.iso230 import FIGURES, Iso230
+from hil.figures import FIGURES, target_choice
+from hil.figures.iso230 import Iso230
 from hil.records.rows import Records
 
 RECTANGULAR = 1.0 / math.sqrt(3.0)

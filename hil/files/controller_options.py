@@ -13,7 +13,6 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from drivers.errors import InputError
-from hil.correction.formats import CONTROLLERS
 
 
 @dataclass(frozen=True)
@@ -105,10 +104,6 @@ CONTROLLER_OPTIONS = (
     ),
     Option("--program", "program", int, "fanuc: O number (default 9000)"),
 )
-
-
-def controller_names() -> list[str]:
-    return [controller.name for controller in CONTROLLERS]
 
 
 def add_options(parser: argparse.ArgumentParser, title: str, options: tuple[Option, ...]) -> None:

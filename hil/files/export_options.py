@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 
-from hil.correction.bound import MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM
+from hil.correction import CONTROLLER_FORMATS, MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM
 from hil.files.controller_options import (
     CONTROLLER_OPTIONS,
     add_options,
-    controller_names,
 )
 from hil.ui.terminal.options import Later, add_effects_option, add_json_option, add_password_options, positive
 
@@ -33,7 +32,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("source", metavar="SOURCE", help="AXIS.toml, TABLE.csv, or tables or a model as JSON")
-    parser.add_argument("--format", required=True, choices=controller_names(), help="the controller")
+    parser.add_argument("--format", required=True, choices=CONTROLLER_FORMATS, help="the controller")
     parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
     parser.add_argument(
         "--tables-only",

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import argparse
 
-from hil.correction.formats import MEASUREMENTS
+from hil.correction import CONTROLLER_FORMATS, MEASUREMENT_FORMATS
 from hil.files.controller_options import (
     CONTROLLER_OPTIONS,
     Option,
     add_options,
-    controller_names,
 )
 from hil.ui.terminal.options import Later, add_json_option
 
@@ -57,7 +56,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("file", metavar="FILE", help="the file to read")
-    names = [*controller_names(), *(one.name for one in MEASUREMENTS)]
+    names = [*CONTROLLER_FORMATS, *MEASUREMENT_FORMATS]
     parser.add_argument("--format", required=True, choices=names, help="what it is")
     parser.add_argument(
         "--out", metavar="OUT", required=True, help="tables: .csv (manual mode) or .json; measurements: records .csv"

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from hil.correction.formats import wide_iso
-from hil.figures.iso230 import FIGURES
+from hil.correction import WIDE_ISO_CELLS
+from hil.figures import FIGURES
 from hil.ui.terminal.options import Later, add_json_option
 
 EXAMPLE = """\
@@ -46,7 +46,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     one.add_argument("records", metavar="RECORDS.csv")
     one.add_argument("--format", choices=("csv", "iso-wide", "json"), required=True)
     one.add_argument(
-        "--cells", choices=tuple(wide_iso.CELLS), default="deviation_um", help="iso-wide (default deviation_um)"
+        "--cells", choices=tuple(WIDE_ISO_CELLS), default="deviation_um", help="iso-wide (default deviation_um)"
     )
     one.add_argument("--decimal", choices=(".", ","), default=".", help="iso-wide: decimal mark (default .)")
     one.add_argument("--out", metavar="FILE", required=True)

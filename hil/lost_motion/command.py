@@ -11,8 +11,9 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
+from hil.correction.rise import RUNNABLE, Rise, Shape, rise_of
 from hil.correction.store import SealedStore, bound_tables
-from hil.lost_motion.command_options import _SHAPES
+from hil.lost_motion.command_options import SHAPES
 from hil.lost_motion.job import (
     MeasuredLostMotion,
     facts,
@@ -37,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
     how = lost_motion_config(axis)
     if args.shape and args.typed:
         raise InputError("--shape and --typed exclude one another: typed values are of two tanh terms")
-    asked = args.typed or (_SHAPES[args.shape] if args.shape else None)
+    asked: Rise | Shape | None = None if args.typed is None else rise_of(args.typed)
+    if args.shape:
+        asked = next(shape for shape in RUNNABLE if shape.name == SHAPES[args.shape])
     if args.dry_run:
         _print_plan(axis, how, args)
         return 0

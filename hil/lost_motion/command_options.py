@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from drivers.errors import InputError
+from hil.correction import RISE_SHAPES
 from hil.correction.published_rise import TwoTanh
-from hil.correction.rise import RUNNABLE, Rise, rise_of
 from hil.ui.terminal.options import (
     Later,
     add_axis_arguments,
@@ -33,7 +33,8 @@ Exit status 0 also where nothing was to be corrected; 1: the proof failed, or th
 """
 
 
-_SHAPES = {shape.name.replace(" ", "-"): shape for shape in RUNNABLE}
+SHAPES = {name.replace(" ", "-"): name for name in RISE_SHAPES}
+"""As it is typed -> name."""
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
@@ -48,12 +49,12 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.add_argument("--only-measure", action="store_true", help="measure, fit and prove, but store nothing")
     parser.add_argument(
         "--shape",
-        choices=list(_SHAPES),
+        choices=list(SHAPES),
         help="of the rise (default: two tanh, unless another leaves less, by more than the noise, and in the proof too)",
     )
     parser.add_argument(
         "--typed",
-        type=_two_tanh,
+        type=_numbers,
         metavar="PC1,PC2,A1,A2,B2",
         help="two tanh terms with these amounts (µm), rises and onset (mm) in place of fitted ones; strokes and proof as always",
     )
@@ -66,12 +67,11 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     parser.set_defaults(run=Later("hil.lost_motion.command"), resumes="lost-motion")
 
 
-def _two_tanh(text: str) -> Rise:
+def _numbers(text: str) -> TwoTanh:
     try:
         amount_1, amount_2, rise_1, rise_2, onset_2 = (float(value) for value in text.split(","))
-        form = TwoTanh(amount_1, amount_2, rise_1, rise_2, onset_2)
+        return TwoTanh(amount_1, amount_2, rise_1, rise_2, onset_2)
     except (ValueError, InputError) as error:
         raise argparse.ArgumentTypeError(
             f"'{text}': expected Pc1,Pc2,a1,a2,b2 as five numbers, amounts ≥ 0 in µm, a1 and a2 > 0 and b2 ≥ 0 in mm ({error})"
         ) from error
-    return rise_of(form)

@@ -20,7 +20,8 @@ from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.axis.certificate import CertificateConfig, Device, Party
 from hil.axis.identity import identity
 from hil.diagnosis.report.diagnosis import opening, percent, with_unit
-from hil.figures.iso230 import FIGURES, Iso230, symbol
+from hil.figures import FIGURES
+from hil.figures.iso230 import Iso230, symbol
 from hil.figures.iso230_4 import MEANINGS as CIRCULAR
 from hil.figures.uncertainty import CONFORMITY_RULE, Budget, Conformity, conformity
 from hil.figures.verdict import At, targets_of

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from drivers.errors import InputError
+from hil.correction import WIDE_ISO_CELLS
 from hil.correction.formats import (
     fanuc,
     grbl,
@@ -176,6 +177,6 @@ MEASUREMENTS: tuple[Measurement, ...] = (
         "iso-wide",
         wide_iso.WideIsoSettings,
         wide_iso.load,
-        f"give {', '.join(wide_iso.CELLS)}, as the cells are (cells)",
+        f"give {', '.join(WIDE_ISO_CELLS)}, as the cells are (cells)",
     ),
 )

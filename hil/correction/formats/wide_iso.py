@@ -14,12 +14,10 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import without_empty_end
+from hil.correction import WIDE_ISO_CELLS
 from hil.correction.formats.common import delimited_rows, number, require, without_unit_row
 from hil.correction.formats.measured_csv import DIRECTIONS
 from hil.records.rows import Records, shown
-
-CELLS = {"deviation_um": 1e-3, "deviation_mm": 1.0, "position_mm": 1.0}
-"""Contents of the cells -> mm per unit of a cell."""
 
 _SIGN = "|".join(sorted((re.escape(name) for name in DIRECTIONS if not name[-1].isdigit()), key=len, reverse=True))
 _RUN_FIRST = re.compile(rf"(?:run|cycle|j)? ?=? ?(\d{{1,9}}) ?[,_]? ?({_SIGN})", re.IGNORECASE | re.ASCII)
@@ -28,14 +26,14 @@ _SIGN_FIRST = re.compile(rf"({_SIGN}) ?[,_]? ?(?:run|cycle|j)? ?=? ?(\d{{1,9}})"
 
 @dataclass(frozen=True)
 class WideIsoSettings:
-    """cells: one of `CELLS`; delimiter: "" for the first of tab, semicolon and comma in a line; decimal: the mark, "." or "," """
+    """cells: one of `WIDE_ISO_CELLS`; delimiter: "" for the first of tab, semicolon and comma in a line; decimal: "." or "," """
 
     cells: str = "deviation_um"
     delimiter: str = ""
     decimal: str = "."
 
     def __post_init__(self) -> None:
-        require(self.cells in CELLS, f"cells are {self.cells!r}, expected {', '.join(CELLS)}")
+        require(self.cells in WIDE_ISO_CELLS, f"cells are {self.cells!r}, expected {', '.join(WIDE_ISO_CELLS)}")
         require(self.decimal in (".", ","), f"decimal mark is {self.decimal!r}, expected . or ,")
         require(len(self.delimiter) <= 1, f"delimiter is {self.delimiter!r}, expected one character")
 
@@ -60,7 +58,7 @@ def load(text: str, settings: WideIsoSettings = WideIsoSettings()) -> Records:
         seen.add(values[0])
         table.append((values[0], values[1:]))
     table.sort()
-    scale = CELLS[settings.cells]
+    scale = WIDE_ISO_CELLS[settings.cells]
     measured: list[tuple[float, float, float, float]] = []
     for index in sorted(range(len(columns)), key=lambda at: (columns[at][0], -columns[at][1])):
         run, direction = columns[index]
@@ -77,7 +75,7 @@ def dump(records: Records, settings: WideIsoSettings = WideIsoSettings()) -> str
     Raises InputError where a run lacks a target that another one has, or has a target twice: the table has one cell for each.
     """
     cells: dict[tuple[int, float], dict[float, float]] = {}
-    scale = CELLS[settings.cells]
+    scale = WIDE_ISO_CELLS[settings.cells]
     for run, direction, target, measured in zip(
         records.run, records.direction, records.target_mm, records.measured_mm, strict=True
     ):

@@ -13,7 +13,8 @@ import numpy as np
 from matplotlib.figure import FigureBase
 
 from hil.correction.tables import Band, SectionMeans, judge
-from hil.figures.iso230 import FIGURES, Iso230, symbol
+from hil.figures import FIGURES
+from hil.figures.iso230 import Iso230, symbol
 from hil.figures.uncertainty import Budget
 from hil.figures.verdict import PLUS_MINUS, At, Decision
 from hil.records.rows import Floats, Records

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
-from hil.figures.iso230 import FIGURES, MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES, Iso230, symbol
+from hil.figures import FIGURES
+from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES, Iso230, symbol
 from hil.figures.iso230_4 import STANDARD, CircularPath
 from hil.figures.verdict import Accuracy
 from hil.ui.terminal.output import Align, number, print_table

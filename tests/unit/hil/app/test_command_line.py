@@ -18,6 +18,9 @@ from support import bench_axis
 from support.toy_axis import ToyDrive, ToyMachine
 
 from hil.app import main as entry
+from hil.correction import CONTROLLER_FORMATS, MEASUREMENT_FORMATS, RISE_SHAPES
+from hil.correction.formats import CONTROLLERS, MEASUREMENTS
+from hil.correction.rise import RUNNABLE
 from hil.desk.error_log import MOST_BYTES, ErrorLog
 from hil.ui.terminal.options import Later
 from hil.ui.terminal.progress import telling_notes
@@ -96,6 +99,7 @@ SIMULATES = {"can", "canopen"}
             HEAVY,
         ),
         (["scan", "campaign", "diagnose", "fit", "apply", "iso230", "iso230-4", "fleet", "params"], HEAVY),
+        (["lost-motion", "records", "export", "import"], HEAVY),
         ([verb for verb in entry.VERBS if verb != "sim"], WIRES | {"scipy.special", "matplotlib", "nicegui"}),
         (["sim"], WIRES - SIMULATES | {"scipy.special", "matplotlib", "nicegui"}),
     ],
@@ -293,3 +297,9 @@ def test_the_version_is_that_of_the_project(capsys: pytest.CaptureFixture[str]) 
     with pytest.raises(SystemExit, match="0"):
         entry.main(["--version"])
     assert capsys.readouterr().out == f"hil {stated}\n"
+
+
+def test_what_options_name_is_what_there_is() -> None:
+    assert tuple(one.name for one in CONTROLLERS) == CONTROLLER_FORMATS
+    assert tuple(one.name for one in MEASUREMENTS) == MEASUREMENT_FORMATS
+    assert tuple(shape.name for shape in RUNNABLE) == RISE_SHAPES

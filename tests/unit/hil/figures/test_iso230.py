@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
-from hil.figures.iso230 import FIGURES, iso230
+from hil.figures import FIGURES
+from hil.figures.iso230 import iso230
 from hil.records.rows import Records, read_csv
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from hil.app.main import main
-from hil.correction.formats import wide_iso
+from hil.correction import WIDE_ISO_CELLS
 from hil.figures.history import find_campaigns, history, trend
 from hil.figures.reading import RULE
 from hil.records.journal import CHECKSUMS, MARKER, Campaign
@@ -182,7 +182,7 @@ def test_merge_of_undated_files_goes_on_where_the_one_before_ended(place: Path) 
     assert read_csv("both.csv")["time_s"].tolist() == [5.0, 9.0, 9.0, 13.0]
 
 
-@pytest.mark.parametrize("cells", list(wide_iso.CELLS))
+@pytest.mark.parametrize("cells", list(WIDE_ISO_CELLS))
 @pytest.mark.parametrize("decimal", [".", ","])
 def test_a_wide_table_reads_back(place: Path, cells: str, decimal: str) -> None:
     measured(place / "c", 5.0)

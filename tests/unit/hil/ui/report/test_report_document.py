@@ -20,7 +20,8 @@ from support.places import SHARED_DATA as DATA
 
 from hil.correction.tables import Band, SignedSections
 from hil.diagnosis.report import diagnosis as diagnosis_part
-from hil.figures.iso230 import FIGURES, iso230
+from hil.figures import FIGURES
+from hil.figures.iso230 import iso230
 from hil.records.rows import Records, read_csv
 from hil.ui.report.data import NamedCampaign, ReportData, TableInForce, environment, history
 from hil.ui.report.document import before_after_image, content, render_files, render_html
