@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
+from drivers.canopen.abort_codes import ABORT_COMMAND
 from drivers.canopen.node import Node
-from drivers.canopen.sdo_transfer import ABORT_COMMAND
 from drivers.canopen.table_map import TableMap
 from drivers.cia402.objects import Entry
 from drivers.correction_table import CorrectionTable, RawTable

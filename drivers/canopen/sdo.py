@@ -17,10 +17,9 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
+from drivers.canopen.abort_codes import ABORT_GENERAL, ABORT_TIMEOUT
 from drivers.canopen.bus import STOP_SEND_S, CanLink
 from drivers.canopen.sdo_transfer import (
-    ABORT_GENERAL,
-    ABORT_TIMEOUT,
     LARGEST_ANNOUNCED,
     Conversation,
     Transfer,

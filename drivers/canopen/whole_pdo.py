@@ -12,6 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
+from drivers.canopen.abort_codes import ABORT_GENERAL, ABORT_READ_ONLY, ABORT_VALUE
 from drivers.canopen.dcf import pack_concise, unpack_concise
 from drivers.canopen.eds import Key
 from drivers.canopen.pdo import (
@@ -29,7 +30,6 @@ from drivers.canopen.pdo import (
     pdo_of,
 )
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.sdo_transfer import ABORT_GENERAL
 from drivers.cia402.objects import Entry
 from drivers.cia402.wire import OBJECT_MISSING
 from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError
@@ -38,8 +38,7 @@ from drivers.raw_parameters import Steps
 _ADDRESS = re.compile(r"^(1[4-7][0-9A-F]{2}|1[89AB][0-9A-F]{2})h PDO$")
 MOST_ENTRIES = 64
 _TEXT_ENTRIES = 8
-READ_ONLY = 0x06010002
-KEPT = (READ_ONLY, 0x06090030)
+KEPT = (ABORT_READ_ONLY, ABORT_VALUE)
 """A COB-ID that is read-only, or whose bit 31 a drive does not know (invalid value)."""
 
 

@@ -86,7 +86,7 @@ class Homing:
         self._method = self._access.read_if_shown(objects.HOMING_METHOD, 0)
         if homing.method is not None and self._method != homing.method:
             raise CapabilityError(
-                f"drive {self._access.name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
+                f"{self._access.name} cannot home by method {homing.method}: it was written to 6098h, which stays {self._method}"
             )
         self._motion.set_mode(Mode.HOMING)
         self.homed, self.under_way, self.without_bit_10 = False, False, False
@@ -138,7 +138,7 @@ class Homing:
             self.under_way = False
             self._power.write(RUN)
             raise DriveFaultError(
-                f"drive {self._access.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
+                f"{self._access.name}: homing failed, statusword {status:04X}h ({homing.name.lower()})"
             )
 
     def _end_attained(self) -> None:
@@ -147,7 +147,7 @@ class Homing:
         if not self._moved and self._method is not None and 0 < self._method < TAKES_THE_PLACE[0]:
             self._power.write(RUN)
             raise DriveFaultError(
-                f"drive {self._access.name}: homing failed: method {self._method} searches a switch or the index, and it is shown as"
+                f"{self._access.name}: homing failed: method {self._method} searches a switch or the index, and it is shown as"
                 " attained where the axis stood, without motion"
             )
         self.homed = True

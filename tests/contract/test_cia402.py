@@ -117,7 +117,7 @@ def test_a_homing_that_fails_is_told_and_homes_nothing(rig: WatchedDrive) -> Non
         drive.enable()
         rig.dictionary.set_number(0x6098, 0, 8)  # the simulated drive has no such method
         drive.start_homing()
-        with pytest.raises(DriveFaultError, match="homing failed"):
+        with pytest.raises(DriveFaultError, match=r"^drive X: homing failed"):
             drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
         assert drive.sample().homed is not True
 
