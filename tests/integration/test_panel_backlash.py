@@ -63,7 +63,7 @@ def test_from_start_to_written_and_back(person: Person, tmp_path: Path) -> None:
     with panel.served(axis_file(tmp_path), "--pace", "0", "--lang", "de") as (address, _):
         speaks_german_in_two_looks(person, address)
         person.goes_to(f"{address}axis/X/backlash")
-        person.clicks("control.take")
+        person.takes_control()
         asked = starts(person)
         assert any("2201h" in line and "0" in line for line in asked)
         assert any("203.800" in line and "205.000" in line for line in asked)
@@ -104,15 +104,14 @@ def speaks_german_in_two_looks(person: Person, address: str) -> None:
     person.clicks("looks")
     person.waits(lambda: ground(person) != dark, "light")
     assert loaded_from(person) == {address.rstrip("/")}
-    person.clicks("language")
-    person.driver.find_element(By.XPATH, "//div[contains(@class, 'q-item')][.//*[text()='English']]").click()
+    person.chooses("language", "English")
     person.waits_to_read("overview.state", "switch on disabled")
 
 
 def test_stop_in_motion(person: Person, slowly: str) -> None:
     """By click and by both keys: what the screen tells in the machine's own time, which no slow host can stretch."""
     person.goes_to(f"{slowly}axis/X/backlash")
-    person.clicks("control.take")
+    person.takes_control()
     for stop in (
         lambda: person.clicks("stop"),
         lambda: person.presses(Keys.ESCAPE),
@@ -136,7 +135,7 @@ def test_stop_in_motion(person: Person, slowly: str) -> None:
 def test_two_browsers_reload_and_leaving(person: Person, slowly: str) -> None:
     with panel.browser() as other:
         person.goes_to(f"{slowly}axis/X/backlash")
-        person.clicks("control.take")
+        person.takes_control()
         starts(person)
         other.goes_to(f"{slowly}axis/X/backlash")
         other.waits(lambda: "run 1 of 1" in other.reads("backlash.step"), "the other sees the same step")
@@ -161,7 +160,7 @@ def test_a_restarted_server_finds_what_was_left(person: Person, tmp_path: Path) 
     note = tmp_path / "X-campaign" / "backlash-before.json"
     with panel.served(path, "--pace", "1") as (address, process):
         person.goes_to(f"{address}axis/X/backlash")
-        person.clicks("control.take")
+        person.takes_control()
         starts(person)
         person.waits(note.exists, "the settings are noted")
         process.send_signal(signal.SIGKILL)
@@ -172,7 +171,7 @@ def test_a_restarted_server_finds_what_was_left(person: Person, tmp_path: Path) 
         person.waits(lambda: "backlash settings changed" in person.reads("overview.left_over"), "it is told")
         person.goes_to(f"{address}axis/X/backlash")
         person.waits(lambda: "restore them" in person.reads("backlash.messages"), "here too")
-        person.clicks("control.take")
+        person.takes_control()
         person.clicks("backlash.restore")
         person.agrees()
         person.waits(lambda: not note.exists(), "put back")

@@ -50,8 +50,7 @@ def person(folder: Path) -> Iterator[Person]:
     """In control of the axis."""
     with panel.served(folder / "axis.toml", "--pace", "0") as (address, _), panel.browser() as one:
         one.goes_to(f"{address}axis/X/diagnosis")
-        one.clicks("control.take")
-        one.waits(lambda: one.finds("control.release").is_displayed(), "this browser holds control")
+        one.takes_control()
         yield one
 
 
@@ -198,11 +197,7 @@ def test_a_loop_of_before_and_the_diagnosis_in_german(person: Person, folder: Pa
     for name, size in (("measure", 3), ("round-1", 1)):
         (here / f"{name}.csv").write_text(to_csv(campaign(lambda c, size=size: size * wavy(c), runs=2, targets=6)))
     goes_to(person, "diagnosis")
-    person.clicks("language")
-    person.waits(lambda: person.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item"), "the languages are offered")
-    next(
-        one for one in person.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item") if one.text == "Deutsch"
-    ).click()
+    person.chooses("language", "Deutsch")
     person.waits(
         lambda: person.reads("diagnosis.finding.1.explanation").startswith("Die Abweichung wiederholt sich alle"),
         "what was found is said in German",

@@ -57,7 +57,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def address(folder: Path) -> Iterator[str]:
-    with panel.served(folder / "X.toml", "--pace", "2") as (found, _):
+    """A job takes minutes, so that it runs until it is stopped, however slow the host is."""
+    with panel.served(folder / "X.toml", "--pace", "0.2") as (found, _):
         yield found
 
 
@@ -70,10 +71,7 @@ def person() -> Iterator[Person]:
 
 def chooses(person: Person, begun: str) -> None:
     """A campaign, by the date of its begin."""
-    person.clicks("diagnosis.campaign")
-    item = f"//div[contains(@class, 'q-menu')]//div[contains(@class, 'q-item')][contains(., '{begun}')]"
-    person.waits(lambda: person.driver.find_element(By.XPATH, item).is_displayed(), "the campaigns are offered")
-    person.driver.find_element(By.XPATH, item).click()
+    person.chooses("diagnosis.campaign", begun)
     person.waits(lambda: not person.driver.find_elements(By.CSS_SELECTOR, ".q-menu"), "the choice is closed")
 
 
@@ -124,8 +122,7 @@ def test_a_file_that_is_no_set_or_too_large_is_refused_before_it_is_sent(
     person: Person, address: str, tmp_path: Path
 ) -> None:
     person.goes_to(f"{address}axis/X/parameters")
-    person.clicks("control.take")
-    person.waits(lambda: person.finds("control.release").is_displayed(), "this browser holds control")
+    person.takes_control()
     field = "[data-name='parameters.bring'] input[type=file]"
     for name, size in (("notes.txt", 10), ("large.toml", LARGEST_BYTES + 1)):
         (tmp_path / name).write_bytes(b"#" * size)
@@ -145,7 +142,7 @@ def test_an_uncorrected_run_keeps_its_switch_over_a_reload_and_is_stopped_from_a
     person: Person, address: str
 ) -> None:
     person.goes_to(f"{address}axis/X/calibrate")
-    person.clicks("control.take")
+    person.takes_control()
     is_on = lambda: person.finds("calibrate.correction").get_attribute("aria-checked") == "true"  # noqa: E731
     person.becomes_builder(PASSWORDS["HIL_KEY_PASSWORD"])
     person.clicks("calibrate.correction")
@@ -156,6 +153,7 @@ def test_an_uncorrected_run_keeps_its_switch_over_a_reload_and_is_stopped_from_a
     for _ in range(2):
         person.driver.refresh()
         person.opens("calibrate.correction")
+        person.waits(lambda: is_running(person), "it is told as running")
         hears(person, SEVERAL_LOOKS)
         assert is_running(person)
         assert not is_on()

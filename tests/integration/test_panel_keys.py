@@ -41,7 +41,7 @@ def test_enter_confirms_and_esc_does_one_thing_at_a_time(tmp_path: Path) -> None
     path.write_text(text.replace("travel_velocity_mm_s = 100.0", "travel_velocity_mm_s = 30.0"), encoding="utf-8")
     with panel.served(path, "--pace", "0.2") as (address, _), panel.browser() as person:
         person.goes_to(f"{address}axis/X/backlash")
-        person.clicks("control.take")
+        person.takes_control()
         person.clicks("backlash.start")
         person.waits(lambda: focused(person) == "question.yes", "it is asked")
         person.waits_to_read(

@@ -1,4 +1,5 @@
-"""Every page in three sizes and three languages: nothing overlaps, is cut or leaves its card; a job is seen as a whole."""
+"""Every page, in German at three sizes and in the other languages at the smallest: nothing overlaps, is cut or leaves its card; a job
+is seen as a whole."""
 
 from __future__ import annotations
 
@@ -26,6 +27,7 @@ pytestmark = [
 ]
 EXAMPLES = Path(__file__).parents[2] / "hil" / "examples"
 SIZES = ((1366, 768), (1920, 1080), (1024, 768))
+SMALLEST = SIZES[2]
 PAGES = ("overview", "axes", "calibrate", "backlash", "lost_motion", "probe", "diagnosis", "parameters", "reports")
 BAR = ("stop", "chip.X", "header.job", "control.release", "events.open", "language", "looks")
 ESSENTIAL = {
@@ -106,19 +108,36 @@ def machine(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     return (*paths, directory / "probe_machine.toml")
 
 
-CHINESE = pytest.param("zh", marks=pytest.mark.skipif(bool(panel.NO_CHINESE), reason=panel.NO_CHINESE))
+CHINESE = pytest.mark.skipif(bool(panel.NO_CHINESE), reason=panel.NO_CHINESE)
+LOOKS = (
+    *(pytest.param("Deutsch", size, id=f"de-{size[0]}") for size in SIZES),
+    pytest.param("English", SMALLEST, id="en"),
+    pytest.param("中文", SMALLEST, id="zh", marks=CHINESE),
+)
+"""German words are the longest."""
 
 
-@pytest.fixture(scope="module", params=["en", "de", CHINESE])
-def person(request: pytest.FixtureRequest, machine: tuple[Path, ...]) -> Iterator[Person]:
+@pytest.fixture(scope="module")
+def person(machine: tuple[Path, ...]) -> Iterator[Person]:
+    """In control of X."""
     *axes, probe = machine
-    how = ("--probe", probe, "--pace", "0", "--lang", request.param)
-    with panel.served(*axes, *how) as (address, _), panel.browser() as one:
+    with panel.served(*axes, "--probe", probe, "--pace", "0") as (address, _), panel.browser() as one:
         one.goes_to(f"{address}axis/X/overview")
-        one.clicks("control.take")
-        one.waits(lambda: one.finds("control.release").is_displayed(), "this browser holds control")
+        one.takes_control()
         yield one
-        one.goes_to("about:blank")
+
+
+def speaks(person: Person, language: str) -> None:
+    """From now on, on every page."""
+    goes_to(person, "overview")
+    if language not in person.reads("language"):
+        person.chooses("language", language)
+        person.waits(lambda: language in person.reads("language"), "it speaks it")
+
+
+def goes_to(person: Person, page: str) -> None:
+    person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
+    person.waits(lambda: person.reads("header.state") != "", "the state is shown")
 
 
 def sized(person: Person, size: tuple[int, int]) -> None:
@@ -126,13 +145,13 @@ def sized(person: Person, size: tuple[int, int]) -> None:
     person.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
-@pytest.mark.parametrize("size", SIZES, ids=lambda size: f"{size[0]}")
-def test_nothing_overlaps_is_cut_or_leaves_its_card(person: Person, size: tuple[int, int]) -> None:
+@pytest.mark.parametrize(("language", "size"), LOOKS)
+def test_nothing_overlaps_is_cut_or_leaves_its_card(person: Person, language: str, size: tuple[int, int]) -> None:
     sized(person, size)
+    speaks(person, language)
     wrong = []
     for page in PAGES:
-        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
-        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        goes_to(person, page)
         at_rest(person)
         person.driver.execute_script(
             "for (const one of document.querySelectorAll('.hil-value')) if (one.textContent === '–') one.textContent = arguments[0]",
@@ -166,13 +185,12 @@ LEGENDS = """
 """Script: of each chart with a legend, here of eight curves, where that ends and where the highest label of the axis begins, px."""
 
 
-@pytest.mark.parametrize("size", [(800, 600), *SIZES], ids=lambda size: f"{size[0]}")
+@pytest.mark.parametrize("size", [(800, 600), SIZES[1]], ids=lambda size: f"{size[0]}")
 def test_no_legend_covers_a_chart(person: Person, size: tuple[int, int]) -> None:
     sized(person, size)
     found: dict[str, list[float]] = {}
     for page in ("calibrate", "backlash", "lost_motion"):
-        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
-        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        goes_to(person, page)
         at_rest(person)
         if page == "calibrate":
             person.waits(lambda: person.drawn("calibrate.curves"), "what is on disk is drawn")
@@ -184,8 +202,7 @@ def test_no_legend_covers_a_chart(person: Person, size: tuple[int, int]) -> None
 def test_what_overlaps_is_cut_or_hidden_is_noticed(person: Person) -> None:
     """What the test above would say of a page whose style is spoiled."""
     sized(person, SIZES[0])
-    person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/backlash")
-    person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+    goes_to(person, "backlash")
     assert not settled(person, DEFECTS)
     spoil = "document.querySelector(`[data-name='${arguments[0]}']`).style.cssText = arguments[1]"
     person.driver.execute_script(
@@ -200,16 +217,15 @@ def test_what_overlaps_is_cut_or_hidden_is_noticed(person: Person) -> None:
     assert person.driver.execute_script(OUT_OF_SIGHT, ["backlash.start"]) == ["backlash.start"]
 
 
-def test_the_page_brings_its_fonts_so_that_it_looks_the_same_everywhere(
-    person: Person, request: pytest.FixtureRequest
-) -> None:
+@pytest.mark.parametrize("language", ["Deutsch", pytest.param("中文", marks=CHINESE)], ids=["de", "zh"])
+def test_the_page_brings_its_fonts_so_that_it_looks_the_same_everywhere(person: Person, language: str) -> None:
     """All but Chinese, which is drawn in one font of the machine, with the shapes of that language."""
     sized(person, SIZES[0])
-    chinese = request.node.callspec.params["person"] == "zh"
+    speaks(person, language)
+    chinese = language == "中文"
     for page in PAGES:
-        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
-        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
-        person.waits(lambda: person.driver.execute_script("return window.did_handshake"), "the server hears it")
+        goes_to(person, page)
+        assert "no-font" not in person.names()
         person.clicks("events.open")
         person.waits(lambda: person.finds("events.close").is_displayed(), "what happened is shown, with its signs")
         person.waits(
@@ -228,34 +244,24 @@ def test_a_sign_that_the_page_does_not_bring_is_noticed(person: Person) -> None:
     assert set(foreign_fonts(person)) > before
 
 
-@pytest.mark.parametrize("chinese", [False, True])
-def test_chinese_without_a_font_is_said_in_english(chinese: bool, machine: tuple[Path, ...], tmp_path: Path) -> None:
-    """With the fonts that are here, and with those of matplotlib alone, which have no Chinese."""
-    if chinese and panel.NO_CHINESE:
-        pytest.skip(panel.NO_CHINESE)
+def test_chinese_without_a_font_is_said_in_english(machine: tuple[Path, ...], tmp_path: Path) -> None:
+    """With the fonts of matplotlib alone, which have no Chinese."""
     fonts = tmp_path / "fonts.conf"
     latin = Path(mpl.get_data_path()) / "fonts" / "ttf"
     fonts.write_text(f"<fontconfig><dir>{latin}</dir><cachedir>{tmp_path}</cachedir></fontconfig>")
-    environment = {**os.environ} if chinese else {**os.environ, "FONTCONFIG_FILE": str(fonts)}
+    environment = {**os.environ, "FONTCONFIG_FILE": str(fonts)}
     with panel.served(machine[0], "--lang", "zh") as (address, _), panel.browser(environment) as one:
         one.goes_to(f"{address}axis/X/overview")
-        if chinese:
-            one.waits(lambda: one.finds("control.take").text == load("zh")["control.take"], "it is in Chinese")
-            assert "no-font" not in one.names()
-            return
         one.waits(lambda: "no font with Chinese" in one.reads("no-font"), "it is said")
         assert one.finds("control.take").text == load("en")["control.take"]
-        one.waits(lambda: one.finds("language").is_displayed(), "the choice is there")
-        one.finds("language").click()
+        one.clicks("language")
         offered = lambda: [each.text for each in one.driver.find_elements("css selector", ".q-menu .q-item")]  # noqa: E731
         one.waits(lambda: offered() == ["English", "Deutsch", "Chinese"], "Chinese is offered in letters")
 
 
 @pytest.mark.parametrize("ground", ["dark", "light"])
-def test_every_text_is_legible(person: Person, request: pytest.FixtureRequest, ground: str) -> None:
+def test_every_text_is_legible(person: Person, ground: str) -> None:
     """By the colours that the browser computes, also of what cannot be pressed."""
-    if request.node.callspec.params["person"] != "en":
-        pytest.skip("the colours are those of English")
     sized(person, SIZES[0])
     dark = "return document.body.classList.contains('body--dark')"
     if person.driver.execute_script(dark) != (ground == "dark"):
@@ -263,8 +269,7 @@ def test_every_text_is_legible(person: Person, request: pytest.FixtureRequest, g
         person.waits(lambda: person.driver.execute_script(dark) == (ground == "dark"), f"it is {ground}")
     wrong = []
     for page in PAGES:
-        person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
-        person.waits(lambda: person.reads("header.state") != "", "the state is shown")
+        goes_to(person, page)
         wrong += [f"{page}: {one}" for one in settled(person, PALE)]
     person.driver.execute_script("document.querySelector(`[data-name='header.state']`).style.opacity = 0.3")
     assert any(one.startswith("header.state") for one in person.driver.execute_script(PALE))  # it notices

@@ -31,9 +31,9 @@ def person(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Person]:
     path = lay_out(tmp_path_factory.mktemp("axis"), "canopen", FAR)
     text = path.read_text(encoding="utf-8").replace("us_mm = 5.0", "us_mm = 205.0")
     path.write_text(text.replace("travel_velocity_mm_s = 100.0", "travel_velocity_mm_s = 30.0"), encoding="utf-8")
-    with panel.served(path, "--lang", "de", "--pace", "0.5") as (address, _), panel.browser() as one:
+    with panel.served(path, "--lang", "de", "--pace", "0.2") as (address, _), panel.browser() as one:
         one.goes_to(f"{address}axis/X/backlash")
-        one.clicks("control.take")
+        one.takes_control()
         one.clicks("backlash.start")
         one.agrees()
         one.waits(lambda: "running" in str(one.finds("chip.X").get_attribute("class")), "the job runs")
@@ -126,10 +126,7 @@ def test_limits_and_the_stop_are_marked(person: Person) -> None:
 def test_the_channels_can_be_chosen(person: Person) -> None:
     """Last, as it leaves a channel out."""
     assert looks(person, f"{CHART}.getOption().series.length") == 4
-    person.clicks("overview.channels")
-    person.waits(lambda: person.driver.find_elements("css selector", ".q-menu .q-item"), "the channels are offered")
-    offered = person.driver.find_elements("css selector", ".q-menu .q-item")
-    next(one for one in offered if one.text == "Drehmoment").click()
+    person.chooses("overview.channels", "Drehmoment")
     person.waits(lambda: looks(person, f"{CHART}.getOption().series.length") == 3, "one is left out")
     names = looks(person, f"{CHART}.getOption().yAxis.map((one) => one.name.split(',')[0])")
     assert names == ["Position", "Geschwindigkeit", "Schleppfehler"]

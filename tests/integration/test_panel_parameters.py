@@ -102,7 +102,7 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.goes_to(f"{address}axis/X/parameters")
         person.waits(lambda: person.names() >= ELEMENTS, "every element is there")
         assert not person.finds("parameters.backup").is_enabled()
-        person.clicks("control.take")
+        person.takes_control()
         person.clicks("parameters.backup")
         assert any(".params.toml will be written" in line for line in person.agrees())
         person.waits(lambda: f"{COUNT} parameters backed up" in person.reads("parameters.backed_up"), "backed up")
@@ -158,7 +158,7 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
 def test_a_parameter_is_searched_for_and_changed(person: Person, axis: Path, face: Face) -> None:
     with panel.served(axis) as (address, _):
         person.goes_to(f"{address}axis/X/parameters")
-        person.clicks("control.take")
+        person.takes_control()
         person.becomes_builder(KEY)
         person.clicks("parameters.read")
         person.waits(lambda: "of 50 parameters" in person.reads("parameters.list.at"), "all are listed")

@@ -37,12 +37,12 @@ ELEMENTS = {
 def comes_to_the_probe(person: Person, address: str) -> None:
     """In control of both axes that the server has of the machine's three; on the page of X."""
     person.goes_to(f"{address}axis/Y/probe")
-    person.clicks("control.take")
+    person.takes_control()
     person.waits_to_read("probe.ready.other_axes", "Take control of X too")
     assert not person.finds("probe.start").is_enabled()
     person.goes_to(f"{address}axis/X/probe")
     person.waits(lambda: person.names() >= ELEMENTS, "every element is there")
-    person.clicks("control.take")
+    person.takes_control()
 
 
 def lay_out_keys(directory: Path) -> None:

@@ -61,8 +61,7 @@ def person(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Person]:
     probe = directory / "probe_machine.toml"
     with panel.served(*paths, "--probe", probe, "--pace", "0") as (address, _), panel.browser() as one:
         one.goes_to(f"{address}axis/X/overview")
-        one.clicks("control.take")
-        one.waits(lambda: one.finds("control.release").is_displayed(), "this browser holds control")
+        one.takes_control()
         yield one
 
 
@@ -96,8 +95,7 @@ def shown(person: Person) -> list[str]:
 
 def speaks(person: Person, language: str) -> None:
     person.driver.execute_script("window.before = true")
-    person.clicks("language")
-    person.driver.find_element(By.XPATH, f"//div[contains(@class, 'q-item')][.//*[text()='{language}']]").click()
+    person.chooses("language", language)
     comes_anew(person)
     person.waits(lambda: language in person.reads("language"), "it speaks it")
 

@@ -44,8 +44,7 @@ def person(folder: Path) -> Iterator[Person]:
     with served as (address, _), panel.browser() as one:
         for axis in "YX":
             one.goes_to(f"{address}axis/{axis}/calibrate")
-            one.clicks("control.take")
-            one.waits(lambda: one.finds("control.release").is_displayed(), "this browser holds control")
+            one.takes_control()
         yield one
 
 
@@ -128,7 +127,7 @@ def test_signs_a_backlash_by_other_means_and_taking_the_tables_out_of_force(  # 
     neighbour.save_tables(TableSet.zero(np.array([0.0, 10.0])))
     with panel.served(axis.path, "--pace", "0") as (address, _), panel.browser() as person:
         person.goes_to(f"{address}axis/X/calibrate")
-        person.clicks("control.take")
+        person.takes_control()
         person.waits(lambda: "0.0 … 150.0 mm +/−; elsewhere +/+" in person.reads("calibrate.signs"), "the file's signs")
         assert "axis file" not in person.reads("calibrate.signs")
         opens_what_is_entered(person)

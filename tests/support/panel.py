@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import shutil
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,13 +17,23 @@ from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.remote.webelement import WebElement
-from selenium.webdriver.support.ui import WebDriverWait
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 WHY_NOT = "" if CHROMIUM and DRIVER else "needs Debian's chromium and chromium-driver"
 PATIENCE_S = 90.0
 IN_FOLD = "ancestor::*[contains(concat(' ', @class, ' '), ' hil-fold ')]"
-_OPTIONS = ("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1600,1400")
+_OPTIONS = (
+    *("--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--disable-gpu", "--window-size=1600,1400"),
+    "--disable-features=PreloadTopChromeWebUI",  # pages of the browser's own that nobody opens
+)
+_STILL = """
+    new MutationObserver((_, one) => {
+        if (!document.head) return;
+        document.head.append(Object.assign(document.createElement('style'), {textContent: '* { transition: none !important }'}));
+        one.disconnect();
+    }).observe(document, {childList: true, subtree: true});
+"""
+"""Script of every page: nothing fades or slides, each step of which is drawn by the processor."""
 
 
 def _draws_chinese() -> bool:
@@ -74,7 +86,9 @@ class Person:
         self.driver = driver
 
     def goes_to(self, address: str) -> None:
+        """Load a page; one of the screen is heard by its server then."""
         self.driver.get(address)
+        self.waits(lambda: self.driver.execute_script("return window.did_handshake !== false"), "the server hears it")
 
     def finds(self, name: str) -> WebElement:
         return self.driver.find_element(By.CSS_SELECTOR, f'[data-name="{name}"]')
@@ -93,13 +107,36 @@ class Person:
         self.waits(lambda: self.finds(name).is_displayed(), f"{name} is unfolded")
 
     def clicks(self, name: str) -> None:
-        """Click an element, once it is there, which is unfolded before."""
-        self.waits(lambda: self.finds(name), f"{name} is there")
-        if not self.finds(name).is_displayed() and self.finds(name).find_elements(By.XPATH, IN_FOLD):
-            self.opens(name)
-        self.waits(lambda: self.finds(name).is_enabled() and self.finds(name).is_displayed(), f"{name} can be clicked")
-        self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", self.finds(name))
-        self.finds(name).click()
+        """Click an element, once it is there and can be pressed, which is unfolded before. What was drawn anew meanwhile is looked for
+        again."""
+
+        def clicked() -> bool:
+            one = self.finds(name)
+            if not one.is_displayed() and one.find_elements(By.XPATH, IN_FOLD):
+                self.opens(name)
+            if not (one.is_displayed() and one.is_enabled()):
+                return False
+            self.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", one)
+            one.click()
+            return True
+
+        self.waits(clicked, f"{name} is clicked")
+
+    def chooses(self, name: str, text: str) -> None:
+        """An entry of a selection, by a part of its text. Returns once it is clicked."""
+
+        def clicked() -> bool:
+            entries = self.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item")
+            if not entries:
+                self.clicks(name)
+                self.waits(lambda: self.driver.find_elements(By.CSS_SELECTOR, ".q-menu .q-item"), f"{name} is open")
+                return False
+            found = next((one for one in entries if text in one.text), None)
+            if found is not None:
+                found.click()
+            return found is not None
+
+        self.waits(clicked, f"{text} of {name} is clicked")
 
     def turns_to(self, tab: str) -> None:
         """Show another job of a page."""
@@ -117,9 +154,18 @@ class Person:
         self.driver.find_element(By.TAG_NAME, "body").send_keys(key)
 
     def waits(self, condition: Callable[[], Any], what: str, within_s: float = PATIENCE_S) -> None:
-        WebDriverWait(self.driver, within_s, poll_frequency=0.05, ignored_exceptions=[Exception]).until(
-            lambda _driver: condition(), f"not within {within_s:g} s: {what}"
-        )
+        """Until a condition holds; it may fail meanwhile. Raises TimeoutError from its last failure."""
+        deadline = time.monotonic() + within_s
+        while True:
+            failed: Exception | None = None
+            try:
+                if condition():
+                    return
+            except Exception as error:  # noqa: BLE001  what is drawn anew is gone for a moment
+                failed = error
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"not within {within_s:g} s: {what}") from failed
+            time.sleep(0.05)
 
     def waits_to_read(self, name: str, text: str) -> None:
         self.waits(lambda: self.reads(name) == text, f"{name} says {text!r}")
@@ -135,6 +181,17 @@ class Person:
 
         self.waits(reads, f"{name} shows a figure")
         return found[0]
+
+    def takes_control(self) -> None:
+        """Of the axis of this page. Returns once the page says so."""
+
+        def held() -> bool:
+            if self.finds("control.take").is_displayed():
+                self.clicks("control.take")
+                self.waits(lambda: self.finds("control.release").is_displayed(), "control is taken", PATIENCE_S / 3)
+            return self.finds("control.release").is_displayed()
+
+        self.waits(held, "this browser holds control")
 
     def becomes_builder(self, key: str, reading: str = "") -> None:
         self.clicks("role.become_builder")
@@ -179,6 +236,9 @@ class Person:
         self.waits(lambda: self.finds("question.yes").is_displayed(), "a question is asked")
         lines = [one.text for one in self.driver.find_elements(By.CSS_SELECTOR, '[data-name="question.line"]')]
         self.clicks("question.yes")
+        self.waits(
+            lambda: not self.driver.find_elements(By.CSS_SELECTOR, '[data-name="question.yes"]'), "it is answered"
+        )
         return lines
 
 
@@ -190,15 +250,42 @@ def figure(text: str) -> float | None:
         return None
 
 
+_idle: list[webdriver.Chrome] = []
+"""Browsers that nobody uses: a start takes two seconds of the processor."""
+
+
 @contextmanager
 def browser(environment: Mapping[str, str] | None = None) -> Iterator[Person]:
-    """A headless Chromium with a profile of its own. environment: in place of this process's."""
+    """A headless Chromium that knows nothing of an earlier one. environment: in place of this process's, for a process of its own."""
+    driver = _idle.pop() if _idle and environment is None else _started(environment)
+    try:
+        yield Person(driver)
+        if environment is None:
+            _forget(driver)
+            _idle.append(driver)
+    finally:
+        if driver not in _idle:
+            driver.quit()
+
+
+def _started(environment: Mapping[str, str] | None) -> webdriver.Chrome:
     options = webdriver.ChromeOptions()
     options.binary_location = CHROMIUM or ""
     for option in _OPTIONS:
         options.add_argument(option)
     driver = webdriver.Chrome(options=options, service=webdriver.ChromeService(DRIVER, env=environment))
-    try:
-        yield Person(driver)
-    finally:
-        driver.quit()
+    driver.execute_cdp_cmd("Page.addScriptToEvaluateOnNewDocument", {"source": _STILL})
+    return driver
+
+
+def _forget(driver: webdriver.Chrome) -> None:
+    """An empty page in the size of the window, without cookies."""
+    driver.get("about:blank")
+    for command in ("Emulation.clearDeviceMetricsOverride", "Network.clearBrowserCookies", "Storage.clearCookies"):
+        driver.execute_cdp_cmd(command, {})
+
+
+@atexit.register
+def _quit() -> None:
+    while _idle:
+        _idle.pop().quit()

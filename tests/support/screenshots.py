@@ -231,7 +231,8 @@ def foreign_fonts(person: Person) -> dict[str, set[str]]:
         const seen = (one) => one.checkVisibility() && one.getBoundingClientRect().width > 1;
         const all = [...document.querySelectorAll('[class*="hil-"] *, [data-name], [data-name] *')];
         const texts = all.filter((one) => seen(one) && leaf(one));
-        texts.forEach((one, index) => { one.dataset.text = index; });
+        document.querySelectorAll('[data-leaf]').forEach((one) => { delete one.dataset.leaf; });
+        texts.forEach((one) => { one.dataset.leaf = ''; });
         return texts.map((one) => one.textContent.trim());
     """
     texts = person.driver.execute_script(script)
@@ -239,11 +240,15 @@ def foreign_fonts(person: Person) -> dict[str, set[str]]:
         person.driver.execute_cdp_cmd(f"{domain}.enable", {})
     root = person.driver.execute_cdp_cmd("DOM.getDocument", {"depth": 0})["root"]["nodeId"]
     found: dict[str, set[str]] = {}
-    for number, text in enumerate(texts):
-        where = {"nodeId": root, "selector": f"[data-text='{number}']"}
-        node = person.driver.execute_cdp_cmd("DOM.querySelector", where)["nodeId"]
-        drawn = person.driver.execute_cdp_cmd("CSS.getPlatformFontsForNode", {"nodeId": node})["fonts"] if node else []
+    where = {"nodeId": root, "selector": "[data-leaf]"}
+    nodes = person.driver.execute_cdp_cmd("DOM.querySelectorAll", where)["nodeIds"]
+    if len(nodes) != len(texts):  # some was drawn anew meanwhile
+        return foreign_fonts(person)
+    for node, text in zip(nodes, texts, strict=True):
+        drawn = person.driver.execute_cdp_cmd("CSS.getPlatformFontsForNode", {"nodeId": node})["fonts"]
         for one in drawn:
             if not one["isCustomFont"]:
                 found.setdefault(one["familyName"], set()).add(text)
+    for domain in ("CSS", "DOM"):
+        person.driver.execute_cdp_cmd(f"{domain}.disable", {})
     return found
