@@ -145,9 +145,9 @@ class Remainder:
             yield Block.of((time.name, "run"), _drift_of_runs(time.values, self.campaign.run))
 
     def _along(self, place: Axis, axis: Axis) -> Iterator[Block]:
-        """A wave along the travel whose amplitude and phase another column changes, or a state in time."""
+        """A wave along the travel whose amplitude and phase another column changes, or a state in time; itself it is an effect's."""
         is_time = axis.name == self.time and not axis.has_levels
-        course = np.hstack([axis.one, _switching(axis)]) if is_time else axis.course.T.astype(np.float64)
+        course = _switching(axis) if is_time else axis.course[1:].T.astype(np.float64)
         for periods in ALONG:
             columns = place.waves(np.array([periods]))[:, :, None] * course[:, None]
             yield from self._signed((place.name, axis.name), Block.of((), columns.reshape(len(course), -1)).rows)

@@ -88,7 +88,7 @@ def test_a_bow_of_the_place_may_be_a_tilt_that_nobody_read() -> None:
     bow_um = 2.0 * np.cos(3.0 * (target - 100.0) / 100.0) + 0.4 * rng.normal(size=len(target))
     weights = {cause.id: cause.weight for cause in weigh(standing_still(bow_um, target, direction), FLAT, ALL)}
     assert weights["abbe"] > 0.2
-    assert weights["pitch_shape"] > 0.02
+    assert weights["pitch_shape"] > 0.015, "even odds that the angle changed, and the smaller shape"
 
 
 def test_an_offset_that_wanders_is_no_backlash_with_an_unread_temperature() -> None:
