@@ -93,15 +93,21 @@ class Axis:
 
 @dataclass(frozen=True, eq=False)
 class Block:
-    """A random function of columns: its own columns as rows, (r, n)."""
+    """A random function of columns, (r, n), with a sign in each row, (n,), or none; the two share what is in memory."""
 
     names: tuple[str, ...]
-    rows: Singles
+    alike: Singles
+    sign: Singles | None = None
 
     @classmethod
     def of(cls, names: tuple[str, ...], columns: Floats) -> Block:
         """Of columns (n, r), in fewer."""
         return cls(names, thin(columns, WIDEST).T.astype(np.float32))
+
+    @property
+    def rows(self) -> Singles:
+        """Its columns as rows, (r, n)."""
+        return self.alike if self.sign is None else self.alike * self.sign
 
 
 class Remainder:
@@ -111,6 +117,7 @@ class Remainder:
         self.campaign = campaign
         survey = campaign.survey
         self.d = campaign.d if survey.has("direction") else None
+        self._sign = campaign.d.astype(np.float32)
         self.time = time_column(campaign.columns)
         usable = [name for name in sorted(survey.varying) if name not in NO_CAUSE or name == self.time]
         far = {name for name in usable if name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM)}
@@ -120,7 +127,7 @@ class Remainder:
         """A function alike in both directions, and one with the sign of the direction."""
         yield Block(names, rows)
         if self.d is not None:
-            yield Block((*names, "direction"), rows * self.d.astype(np.float32))
+            yield Block((*names, "direction"), rows, self._sign)
 
     def _blocks(self) -> Iterator[Block]:
         place, time = self.axes.get("target_mm"), self.axes.get(self.time)
@@ -150,7 +157,7 @@ class Remainder:
         course = _switching(axis) if is_time else axis.course[1:].T.astype(np.float64)
         for periods in ALONG:
             columns = place.waves(np.array([periods]))[:, :, None] * course[:, None]
-            yield from self._signed((place.name, axis.name), Block.of((), columns.reshape(len(course), -1)).rows)
+            yield from self._signed((place.name, axis.name), Block.of((), columns.reshape(len(course), -1)).alike)
 
     def _of_rows(self, place: Axis) -> Iterator[Block]:
         """One run, or one row in every few, that follows the travel in a way of its own."""
@@ -166,7 +173,7 @@ class Remainder:
     @cached_property
     def _batches(self) -> list[tuple[Block, ...]]:
         """All blocks, those of about as many columns together."""
-        blocks = sorted(self._blocks(), key=lambda one: len(one.rows))
+        blocks = sorted(self._blocks(), key=lambda one: len(one.alike))
         return [tuple(blocks[i : i + TOGETHER]) for i in range(0, len(blocks), TOGETHER)]
 
     def best(self, fit: Fit, kept: int) -> list[Ranked]:
@@ -174,9 +181,9 @@ class Remainder:
         price = math.log(2.0 * sum(map(len, self._batches)))
         found: list[tuple[float, Block]] = []
         for batch in self._batches:
-            wide = np.zeros((len(batch), len(batch[-1].rows), len(self.campaign)), dtype=np.float32)
+            wide = np.zeros((len(batch), len(batch[-1].alike), len(self.campaign)), dtype=np.float32)
             for i, one in enumerate(batch):
-                wide[i, : len(one.rows)] = one.rows
+                wide[i, : len(one.alike)] = one.rows
             gains = fit.random_gains(wide.reshape(-1, len(self.campaign)), wide.shape[1], batch) - price
             found += zip(gains.tolist(), batch, strict=True)
         found.sort(key=lambda one: -one[0])
