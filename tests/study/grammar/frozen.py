@@ -1,7 +1,7 @@
 """The frozen judge of two engines: outcomes of machines, one JSON line each, written as they come with the lots in turn,
 and two such files side by side on the machines that both have.
 
-`python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10650 --machines 200` goes on where OUT ends;
+`python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10770 --machines 200` goes on where OUT ends;
 `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl`;
 `python tests/study/grammar/frozen.py page` writes `hil/docs/diagnosis_lots.md`.
 
@@ -126,13 +126,12 @@ KINDS: dict[str, tuple[tuple[str, ...], str]] = {
 HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. A generator that shares no code with the
-diagnosis draws the machines, from seed 810650 on. Earlier versions of the diagnosis judged the seeds before 810676. The latest step of
-the search, which puts two effects in the place of one part, judged only the lot `pairs`. Two machines of `missing`, 810653 and 810654,
-were looked at while the diagnosis was made, and prove nothing.
+diagnosis draws the machines, from seed 810700 on. The seeds before 810770 were judged before the last change, by which a wave along
+the travel that no column changes is no remainder. Nobody had looked at a machine before it was judged.
 
 | Command | What it does |
 |---|---|
-| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10676` | adds machines; `--lot` chooses one lot |
+| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10770` | adds machines; `--lot` chooses one lot |
 | `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | compares two such files |
 | `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | compares with BIC, lasso, STLSQ and trees |
 | `python tests/study/drawn.py` | 40 machines that somebody else drew |
