@@ -31,6 +31,8 @@ from hil.records.rows import parse_csv
 STEEPEST = 1.35
 """Largest exponent that passes. A linear reader measures 0.9 to 1.15 on a busy machine, a quadratic one 1.6 (small sizes) to 2."""
 ROUNDS = 3
+ATTEMPTS = 3
+"""A busy neighbour of this processor slows one size and not another; a reader that is not linear is steep each time."""
 LEAST_S = 0.02
 """CPU time that the largest size must take, so that the fit measures the reader; smaller sizes are doubled until then."""
 
@@ -200,9 +202,13 @@ def test_time_grows_with_the_size_and_no_faster(
     while _seconds(make, read, 8 * size, tmp_path, rounds=1) < LEAST_S and size < 1 << 17:
         size *= 2
     sizes = [size, 2 * size, 4 * size, 8 * size]
-    times = [_seconds(make, read, each, tmp_path) for each in sizes]
-    # the middle one of three doublings: where a text outgrows the processor's cache there is one step, and no growth
-    exponent = float(np.median(np.diff(np.log2(times))))
+    exponent = np.inf
+    for _ in range(ATTEMPTS):
+        times = [_seconds(make, read, each, tmp_path) for each in sizes]
+        # the middle one of three doublings: where a text outgrows the processor's cache there is one step, and no growth
+        exponent = min(exponent, float(np.median(np.diff(np.log2(times)))))
+        if exponent < STEEPEST:
+            break
     record_property("exponent", round(exponent, 2))
     record_property("seconds", f"{times[-1]:.3f} s for {sizes[-1]}")
     print(f"{case}: exponent {exponent:.2f}, {times[-1]:.3f} s for {sizes[-1]}")
