@@ -24,11 +24,11 @@ from drivers.modbus.drive_map import DriveMap, StreamMap
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_facts import FactLedger, Proof
 from drivers.modbus.needs import Needs
-from drivers.modbus.order_evidence import judge_orders
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.stopping import StoppableUnit
 from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.wear import WearLedger
+from drivers.modbus.word_order_evidence import judge_orders
 from drivers.named_parameters import NamedParameters
 from drivers.paced_stream import PacedGroup, PacedStream
 from drivers.scaling import AxisScaling, ReportedScaling
@@ -60,7 +60,7 @@ class ModbusDrive(StoppableUnit):
         self._ledger = ledger
         self._weak = drive_map.weak()
         self._proving = False
-        self._needs = Needs(name, drive_map, self.access, self.orders)
+        self._needs = Needs(name, drive_map, self.access, self.commands)
         self.raw = ModbusRawParameters(name, ModbusLine(link), unit, drive_map, wear=wear, access=self.access)
         self._parameters = NamedParameters(self.raw)
 
@@ -76,7 +76,7 @@ class ModbusDrive(StoppableUnit):
         try:
             self.homing.forget()
             self.moves.under_way = None
-            self.orders.forget()
+            self.commands.forget()
             self.way_out.over()
             self.link.limit_by(self.unit, self.way_out)
             self._needs.require()
@@ -89,7 +89,7 @@ class ModbusDrive(StoppableUnit):
 
     def _put_back(self, left: Left) -> None:
         """Mode, speeds and ramps of a disabled axis, and the needs of the map."""
-        settings = [("", self.orders.put_back)] if left is Left.OFF else []
+        settings = [("", self.commands.put_back)] if left is Left.OFF else []
         undo_all([*settings, ("", self._needs.put_back)])
 
     def _release(self) -> None:
@@ -202,7 +202,7 @@ class ModbusDrive(StoppableUnit):
     def _enable(self) -> None:
         self._require_open()
         self._require_proven("enable")
-        self.orders.stopped = False
+        self.commands.stopped = False
         self.way_out.over()
         try:
             self._enable_by_steps()
@@ -279,15 +279,15 @@ class ModbusDrive(StoppableUnit):
         with self._no_motion_after_errors():
             self.homing.leave(self.access.read(self.map.sampled()))
             self._write_here(stream.target)
-            self.orders.set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
-            self.orders.start(stream.start, "stream", stream.timeout_s)
+            self.commands.set_mode(stream.mode, stream.mode_shown, stream.timeout_s)
+            self.commands.start(stream.start, "stream", stream.timeout_s)
             return self.sample()
 
     def send_set_point(self, position_load_mm: float) -> None:
         """For `ModbusStream`: the next set-point, load mm."""
         target = self.map.stream.target if self.map.stream is not None else self.map.move.target
         counts = float(self.scaling.motor_counts(position_load_mm))
-        self.orders.write({target: self.values.raw(counts, target)})
+        self.commands.write({target: self.values.raw(counts, target)})
 
     def end_stream(self) -> None:
         """For `ModbusStream`: return to the mode of moves, held where it is."""

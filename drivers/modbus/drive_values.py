@@ -13,8 +13,8 @@ from drivers.clock import Clock
 from drivers.drive import DriveState
 from drivers.errors import InputError, ProtocolError
 from drivers.modbus.codec import Raw
+from drivers.modbus.commands import Commands, hold
 from drivers.modbus.drive_map import DriveMap
-from drivers.modbus.orders import Orders, hold
 from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.register_map import Register
 from drivers.scaling import AxisScaling, beyond_reach
@@ -144,12 +144,12 @@ class DriveValues:
 
 @dataclass(frozen=True)
 class Unit:
-    """What the parts of one drive work with: its name, its map, its registers, their values, its orders."""
+    """What the parts of one drive work with: its name, its map, its registers, their values, its commands."""
 
     name: str
     map: DriveMap
     access: RegisterAccess
     values: DriveValues
-    orders: Orders
+    commands: Commands
     clock: Clock
     scaling: AxisScaling

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from drivers.errors import DriveFaultError
 from drivers.modbus.codec import Raw
+from drivers.modbus.commands import POLL_S, hold
 from drivers.modbus.drive_map import HomingMap, all_hold
 from drivers.modbus.drive_values import Unit
-from drivers.modbus.orders import POLL_S, hold
 from drivers.standstill import Standstill
 
 _ATTAINED_S = 0.5
@@ -40,15 +40,15 @@ class MappedHoming:
     def begin(self, homing: HomingMap, take_power: Callable[[], None]) -> None:
         """Order it and wait until the drive shows it in progress, or attained for long enough. take_power(): for a drive that homes as
         its power comes on. Raises MotionTimeoutError, NoAnswerError."""
-        orders = self._unit.orders
-        orders.give(homing.release)
-        orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
+        commands = self._unit.commands
+        commands.give(homing.release)
+        commands.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
         self.homed = self.elsewhere = False
         if homing.at_power_on:
             take_power()
-            orders.remember([write.register for write in homing.start if write.mask is None])
-        orders.start(homing.start, "homing", homing.timeout_s)
-        orders.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s, homing.remedy)
+            commands.remember([write.register for write in homing.start if write.mask is None])
+        commands.start(homing.start, "homing", homing.timeout_s)
+        commands.wait_for(homing.accepted, "homing to be taken up", homing.timeout_s, homing.remedy)
         self._attained_gone, self._attained_stands = False, Standstill(self._unit.scaling.resolution_load_mm)
         self.under_way = True
         deadline = self._unit.clock.deadline(homing.timeout_s)
@@ -63,7 +63,7 @@ class MappedHoming:
         return self._is_of_this_homing(attained, self._unit.clock.now_ns(), position_mm)
 
     def _is_of_this_homing(self, attained: bool, time_ns: int, position_mm: float) -> bool:
-        """Whether the "attained" shown cannot be that of the last homing, which stays until the drive has processed its orders."""
+        """Whether the "attained" shown cannot be that of the last homing, which stays until the drive has processed its commands."""
         self._attained_gone = self._attained_gone or not attained
         stayed = self._attained_stands.look(time_ns, position_mm, still_s=_ATTAINED_S)
         return self._attained_gone or stayed
@@ -88,11 +88,11 @@ class MappedHoming:
         homing = self._unit.map.homing
         self.under_way = False
         if homing is not None and homing.applies and hold(homing.applies, raw):
-            self._unit.orders.give(homing.release)
+            self._unit.commands.give(homing.release)
 
     def ask(self, homing: HomingMap) -> bool | None:
         """Read in homing mode whether the drive is homed. None for one that does not say so: it may have lost it with the change of
         mode. For a drive without power."""
-        self._unit.orders.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
+        self._unit.commands.set_mode(homing.mode, homing.mode_shown, homing.timeout_s)
         raw = self._unit.access.of_conditions((*homing.applies, *homing.attained))
         return True if all_hold(homing.applies, raw) and all_hold(homing.attained, raw) else None

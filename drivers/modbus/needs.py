@@ -9,8 +9,8 @@ from functools import partial
 
 from drivers.errors import StateError
 from drivers.modbus.codec import Raw
+from drivers.modbus.commands import Commands
 from drivers.modbus.drive_map import DriveMap, Need, all_hold
-from drivers.modbus.orders import Orders
 from drivers.modbus.register_access import RegisterAccess
 from drivers.undo import undo_all
 
@@ -18,11 +18,11 @@ from drivers.undo import undo_all
 class Needs:
     """The needs of one drive, as far as they do not hold yet."""
 
-    def __init__(self, drive_name: str, drive_map: DriveMap, access: RegisterAccess, orders: Orders) -> None:
+    def __init__(self, drive_name: str, drive_map: DriveMap, access: RegisterAccess, commands: Commands) -> None:
         self._name = drive_name
         self._map = drive_map
         self._access = access
-        self._orders = orders
+        self._commands = commands
         self._found: dict[str, Raw] = {}  # values before they were written, in the order of writing
 
     def _unmet(self) -> list[Need]:
@@ -53,7 +53,7 @@ class Needs:
                 name = need.write.register
                 if name not in self._found:
                     self._found |= self._access.read([name])
-                self._orders.give((need.write,))
+                self._commands.give((need.write,))
         for need in self._unmet():
             raise StateError(self._text(need))
 

@@ -9,9 +9,9 @@ from collections.abc import Callable
 
 from drivers.drive import FAULTS, DriveSample, DriveState
 from drivers.errors import DriveFaultError, MotionTimeoutError, ProtocolError, StateError
+from drivers.modbus.commands import POLL_S
 from drivers.modbus.drive_map import StateChange
 from drivers.modbus.drive_values import Unit
-from drivers.modbus.orders import POLL_S
 from drivers.way_out import WayOut
 
 _BOOT_S = 5.0  # longest time in not ready to switch on, s
@@ -77,7 +77,7 @@ class PowerStates:
         if state not in FAULTS:
             return
         transition = self._from(self._unit.map.reset_fault, state, "reset the fault")
-        self._unit.orders.give_stopped(transition.writes)
+        self._unit.commands.give_stopped(transition.writes)
         try:
             state = self._await("reset", lambda now: now not in FAULTS, transition.timeout_s)
         except MotionTimeoutError as error:
@@ -102,7 +102,7 @@ class PowerStates:
 
     def _walk(self, transition: StateChange, verb: str, *, off: bool = False) -> None:
         """off: takes the power off, which is allowed after a stop and ends in a fault as well."""
-        (self._unit.orders.take_power if off else self._unit.orders.give)(transition.writes)
+        (self._unit.commands.take_power if off else self._unit.commands.give)(transition.writes)
         state = self._await(
             f"{verb}: {' or '.join(target.value for target in transition.targets)} (mains, STO and enable input in order?)",
             lambda now: now in transition.targets or now in FAULTS,

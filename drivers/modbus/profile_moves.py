@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from drivers.drive import DriveLimits
 from drivers.errors import MotionTimeoutError
 from drivers.modbus.codec import Raw
+from drivers.modbus.commands import hold
 from drivers.modbus.drive_map import Handshake
 from drivers.modbus.drive_values import Unit
-from drivers.modbus.orders import hold
 from drivers.standstill import Standstill, arrived_within_counts
 
 
@@ -44,11 +44,11 @@ class ProfileMoves:
         """Around writing the target: the one found is put back without power, not where that would start a move, nor after a
         refusal."""
         move = self._unit.map.move
-        once = self._unit.orders.kept(move.target) or move.handshake is Handshake.ON_WRITE
+        once = self._unit.commands.kept(move.target) or move.handshake is Handshake.ON_WRITE
         readable = self._unit.map.registers[move.target].readable
         found = self._unit.access.read([move.target]) if readable and not once else {}
         yield
-        self._unit.orders.keep(found)
+        self._unit.commands.keep(found)
 
     def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> Move:
         """A move (mm, mm/s) from the position of a sample. Raises InputError for values outside its registers; writes nothing."""
@@ -73,33 +73,33 @@ class ProfileMoves:
 
     def _settings(self, wanted: dict[str, float]) -> dict[str, Raw]:
         """Speeds and ramps in counts -> raw, after keeping the earlier values."""
-        self._unit.orders.remember(tuple(wanted))
+        self._unit.commands.remember(tuple(wanted))
         return {name: self._unit.values.raw_speed(counts, name) for name, counts in wanted.items()}
 
     def set_mode(self, raw: dict[str, Raw] | None = None) -> None:
         """Set the mode of operation for moves; raw: values read just now. Raises MotionTimeoutError."""
         move = self._unit.map.move
-        self._unit.orders.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
+        self._unit.commands.set_mode(move.mode, move.mode_shown, move.timeout_s, raw)
 
     def make_ready(self, raw: dict[str, Raw]) -> None:
         """Set mode and hand-shake as a new target needs them. Raises MotionTimeoutError."""
         move = self._unit.map.move
         self.set_mode(raw)
-        if not self._unit.orders.hold_now(move.idle, raw):
-            self._unit.orders.give(move.release)
-            self._unit.orders.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
+        if not self._unit.commands.hold_now(move.idle, raw):
+            self._unit.commands.give(move.release)
+            self._unit.commands.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
 
     def begin(self, planned: Move) -> None:
         """Start the move; returns when the axis has started. After an error it may be moving. Raises MotionTimeoutError,
         NoAnswerError."""
-        move, orders = self._unit.map.move, self._unit.orders
+        move, commands = self._unit.map.move, self._unit.commands
         with self.target_kept():
-            orders.write(planned.written)
+            commands.write(planned.written)
         self.under_way, self.unshown = planned, False
-        orders.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
-        orders.wait_for(move.accepted, "new target to be accepted", move.timeout_s)
-        orders.give(move.release)
-        orders.wait_for(move.released, "set-point hand-shake to end", move.timeout_s)
+        commands.start(move.start, "move", move.timeout_s, lambda: not self._reached_now())
+        commands.wait_for(move.accepted, "new target to be accepted", move.timeout_s)
+        commands.give(move.release)
+        commands.wait_for(move.released, "set-point hand-shake to end", move.timeout_s)
         self._await_departure(planned)
 
     def reached(self, raw: dict[str, Raw]) -> bool:
@@ -134,7 +134,7 @@ class ProfileMoves:
         way_mm = abs(self._unit.scaling.load_mm(way_counts))
         ramps_s = 2.0 * move.velocity_mm_s / self._limits.max_acceleration_mm_s2
         longest_s = way_mm / move.velocity_mm_s + ramps_s + 0.05
-        if way_counts <= self._unit.values.window_counts() or self._unit.orders.becomes(
+        if way_counts <= self._unit.values.window_counts() or self._unit.commands.becomes(
             lambda: not self._reached_now(), min(longest_s, self._unit.map.move.timeout_s)
         ):
             return

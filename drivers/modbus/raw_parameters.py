@@ -24,10 +24,10 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.modbus.codec import OrderMatch, RegisterType, decode, encode, probe_order
+from drivers.modbus.commands import comes_true
 from drivers.modbus.drive_map import DriveMap, Ratio, all_hold
 from drivers.modbus.endpoint import RtuEndpoint
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.orders import comes_true
 from drivers.modbus.plan import ReadRequest, WireCost, group_writes
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, Register

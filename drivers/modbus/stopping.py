@@ -10,11 +10,11 @@ from contextlib import suppress
 from drivers.clock import Clock
 from drivers.drive import FAULTS, DriveLimits, DriveSample, DriveState
 from drivers.errors import BridgeError, ProtocolError, TransportError
+from drivers.modbus.commands import Commands, hold
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.drive_values import DriveValues, Unit
 from drivers.modbus.homing import MappedHoming
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.orders import Orders, hold
 from drivers.modbus.power import PowerStates
 from drivers.modbus.profile_moves import ProfileMoves
 from drivers.modbus.register_access import RegisterAccess
@@ -52,7 +52,7 @@ class StoppableUnit(StoppableDrive):
         self.shows_stop = any(rule.state is DriveState.QUICK_STOP for rule in drive_map.states)
         self._frozen = FrozenValues()
         self.values = DriveValues(name, drive_map, scaling)
-        self.orders = Orders(
+        self.commands = Commands(
             name,
             self.access,
             clock,
@@ -60,7 +60,7 @@ class StoppableUnit(StoppableDrive):
             shown_state=lambda: self.power.state().value,
             post_stop=self.send_stop,
         )
-        ours = Unit(name, drive_map, self.access, self.values, self.orders, clock, scaling)
+        ours = Unit(name, drive_map, self.access, self.values, self.commands, clock, scaling)
         self.power = PowerStates(ours, way_out=self.way_out, sample=self.sample)
         self.moves = ProfileMoves(ours, limits)
         self.homing = MappedHoming(ours, post_stop=self.send_stop)
@@ -127,11 +127,11 @@ class StoppableUnit(StoppableDrive):
     # -- how it is stopped and disabled ----------------------------------------------------------------------------------
     @property
     def stopped(self) -> bool:
-        return self.orders.stopped
+        return self.commands.stopped
 
     def send_stop(self) -> None:
         """The map's quick stop, posted: without waiting for the lock, the back-off or the exchange in progress."""
-        self.orders.stopped = True
+        self.commands.stopped = True
         if self._open:
             with suppress(Exception):  # send_stop never raises
                 self.access.post(self.map.quick_stop)
@@ -144,7 +144,7 @@ class StoppableUnit(StoppableDrive):
         return DriveSample(self.clock.now_ns(), self.values.state(raw), position_mm, target_reached=False)
 
     def _halt(self) -> None:
-        self.orders.give(self.map.halt)
+        self.commands.give(self.map.halt)
 
     def _repeat_stop(self) -> None:
         for write in self.map.quick_stop:
@@ -157,7 +157,7 @@ class StoppableUnit(StoppableDrive):
         self.moves.under_way = None
 
     def _send_power_off(self, shown: DriveState) -> None:
-        self.power.post_off(DriveState.QUICK_STOP if self.orders.stopped else shown)
+        self.power.post_off(DriveState.QUICK_STOP if self.commands.stopped else shown)
 
     def _answers(self) -> bool:
         try:

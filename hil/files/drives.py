@@ -26,10 +26,10 @@ from drivers.modbus.drive_map import DriveMap, all_hold
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, parse_endpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.order_evidence import judge_orders
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map, shipped_maps
+from drivers.modbus.word_order_evidence import judge_orders
 from drivers.named_parameters import NamedParameters
 from hil.axis.axis_file import load_drive_axis
 from hil.files.drives_shown import factory, wanted

@@ -16,9 +16,9 @@ from drivers.modbus.drive_values import from_counts, to_counts
 from drivers.modbus.map_facts import FactLedger, Origin, Proof
 from drivers.modbus.map_loader import load_drive_map, load_register_map
 from drivers.modbus.map_roles import Condition
-from drivers.modbus.order_evidence import judge_orders
 from drivers.modbus.plan import Span, Table, WireCost, plan_reads
 from drivers.modbus.register_map import Register, find_map
+from drivers.modbus.word_order_evidence import judge_orders
 
 MAP = """\
 [map]

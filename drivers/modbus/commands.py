@@ -1,6 +1,6 @@
-"""Orders to one Modbus unit that are waited for, and the settings as they were before they were changed.
+"""Commands to one Modbus unit that are waited for, and the settings as they were before they were changed.
 
-The register map defines the orders; `drive` decides when to give them.
+The register map defines the commands; `drive` decides when to give them.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TARGETS_S = 3.0
 Evidence = Callable[[], bool]
 
 
-class Orders:
+class Commands:
     """shown_state(): the drive's present state in words, for time-out errors. post_stop(): sends the stop.
 
     stopped: a stop was sent since the axis was enabled last, by any thread. From then on no order is sent, as one that enables
@@ -83,7 +83,7 @@ class Orders:
         if found and self._way_out.within_s(_TARGETS_S) >= _TARGETS_S:
             self._access.write(found)
 
-    # -- orders ------------------------------------------------------------------------------------------------------
+    # -- commands ----------------------------------------------------------------------------------------------------
     def give(self, writes: Sequence[Write]) -> None:
         """Write each of them; all are certain when this returns. Raises StateError once a stop was sent, and as `ModbusLink.write`."""
         for write in writes:
@@ -97,7 +97,7 @@ class Orders:
             self._pause(write)
 
     def take_power(self, writes: Sequence[Write]) -> None:
-        """Writes that take power off, also after a stop; the only orders but the stop that are repeated while unanswered."""
+        """Writes that take power off, also after a stop; the only commands but the stop that are repeated while unanswered."""
         for write in writes:
             self._access.command(write, stops=True)
             self._pause(write)
