@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.clock import Waiting
 from drivers.drive import ServoDrive
@@ -17,6 +17,9 @@ from hil.machine.events import Event, Listener
 from hil.machine.machine import Machine
 from hil.machine.session import AxisSession
 from hil.records.journal import Campaign
+
+if TYPE_CHECKING:  # a verb loads the simulation where its axis file names it
+    from hil.machine.bench_wiring import RunningBench
 
 Tell = Callable[[str], None]
 Watch = Callable[[str, ServoDrive, AxisSession | None], None]
@@ -59,6 +62,7 @@ class Workplace:
     watch: for such a job: watch(axis name, drive, session or None) shows the samples of that axis on its desk
     ask: asks the operator
     computing: how long computations are run
+    bench: a simulated machine that runs, for a job that connects by itself; None: it makes one
     """
 
     axis: DriveAxis
@@ -71,6 +75,7 @@ class Workplace:
     watch: Watch
     ask: Ask = no_answer
     computing: Computing = at_once
+    bench: RunningBench | None = None
 
     @property
     def drive(self) -> ServoDrive:

@@ -14,24 +14,29 @@ from hil.machine.canopen_wiring import canopen_drive
 from hil.machine.links import Links
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import CanOpenSlave
-from sim_backends.canopen_in_turn import drives_in_turn
+from sim_backends.canopen_in_turn import DrivesInTurn, drives_in_turn
 from sim_backends.canopen_quirks import ProfiledSlave, machine_objects
 from sim_backends.clock import SimClock
 from sim_backends.drive_profiles import load_profile
 from sim_backends.own_table import TableForm
 
 
-def canopen_drives(
+def canopen_bus(
     nodes: Sequence[tuple[DriveAxis, Bench, TableForm | None]], clock: SimClock, stack: ExitStack
-) -> list[CanOpenDrive]:
-    """Drives for simulated servos, each the node of its axis file; with the table that it holds."""
-    place = ("virtual", f"bench-{uuid.uuid4().hex}")
-    bus = stack.enter_context(drives_in_turn(clock, place[1]))
+) -> DrivesInTurn:
+    """A bus of simulated servos, each the node of its axis file; with the table that it holds."""
+    bus = stack.enter_context(drives_in_turn(clock, f"bench-{uuid.uuid4().hex}"))
     for axis, bench, table in nodes:
         parameters, make = bench_node(axis, bench)
         bus.add(bench.servo, axis.drive.node_id, parameters=parameters, table=table, make=make)
-    links = Links({place: stack.enter_context(CanLink(bus.master(), clock))})
-    return [canopen_drive(axis, clock, place, stack, links=links) for axis, _, _ in nodes]
+    return bus
+
+
+def canopen_drives(axes: Sequence[DriveAxis], bus: DrivesInTurn, stack: ExitStack) -> list[CanOpenDrive]:
+    """Drives for the nodes of such a bus."""
+    place = ("virtual", bus.channel)
+    links = Links({place: stack.enter_context(CanLink(bus.master(), bus.clock))})
+    return [canopen_drive(axis, bus.clock, place, stack, links=links) for axis in axes]
 
 
 def bench_node(axis: DriveAxis, bench: Bench) -> tuple[Mapping[tuple[int, int], int], Callable[..., CanOpenSlave]]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import ExitStack
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 from drivers.clock import Waiting
 from drivers.drive import DriveLimits, ServoDrive
@@ -22,6 +23,9 @@ from sim_backends.gauge import GaugeParameters
 from sim_backends.likeness import alike
 from sim_backends.own_table import TableForm, known_table
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
+
+if TYPE_CHECKING:  # a verb loads the wire that its axis file names
+    from sim_backends.canopen_in_turn import DrivesInTurn
 
 PULSES_HZ = 10.0
 """Rate of the bench's pulse generator on the external input of a display, Hz."""
@@ -69,6 +73,42 @@ def bench_drive(
     return _drives([axis], benches, stack)[0]
 
 
+@dataclass(frozen=True)
+class RunningBench:
+    """The simulated machine of one axis that stays while it is connected and disconnected. can: its bus, None with another face."""
+
+    bench: Bench
+    can: DrivesInTurn | None
+
+    def drive(self, axis: DriveAxis, stack: ExitStack) -> ServoDrive:
+        """A connection to its drive."""
+        if self.can is None:
+            return _drives([axis], [self.bench], stack)[0]
+        from hil.machine.bench_canopen import canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
+
+        return canopen_drives([axis], self.can, stack)[0]
+
+    def machine(self, axis: AxisConfig, stack: ExitStack) -> Machine:
+        """A connection to its drive and its instrument."""
+        return _machine(axis, self.bench, self.drive(axis, stack))
+
+
+@contextmanager
+def running_bench(axis: DriveAxis) -> Iterator[RunningBench]:
+    """The simulated machine that an axis file names, switched on for a `with` block. Raises as `make_bench`."""
+    wanted = bench_parameters(axis)
+    if isinstance(axis, AxisConfig):
+        wanted = with_instrument(wanted, axis.instrument)
+    with ExitStack() as stack:
+        (bench,) = _benches([axis], [wanted], stack, None)
+        can = None
+        if axis.drive.face == "canopen":
+            from hil.machine.bench_canopen import canopen_bus  # noqa: PLC0415  (a verb loads the wire its axis file names)
+
+            can = canopen_bus([(axis, bench, bench_table(axis, bench))], bench.clock, stack)
+        yield RunningBench(bench, can)
+
+
 def _machine(axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
     instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
     conditions = BenchConditions(bench.plant, axis.conditions.levels)
@@ -101,9 +141,9 @@ def _drives(axes: Sequence[DriveAxis], benches: Sequence[Bench], stack: ExitStac
         axes = [replace(axis, drive=replace(axis.drive, node_id=n, unit=n)) for n, axis in enumerate(axes, start=1)]
     pairs = list(zip(axes, benches, strict=True))
     if face == "canopen":
-        from hil.machine.bench_canopen import canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
+        from hil.machine.bench_canopen import canopen_bus, canopen_drives  # noqa: PLC0415  (as `RunningBench.drive`)
 
-        return canopen_drives([(*pair, bench_table(*pair)) for pair in pairs], clock, stack)
+        return canopen_drives(axes, canopen_bus([(*pair, bench_table(*pair)) for pair in pairs], clock, stack), stack)
     from hil.machine.bench_modbus import modbus_drives  # noqa: PLC0415  (as above)
 
     return modbus_drives({axis.drive.unit: (axis, bench) for axis, bench in pairs}, clock, stack)

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
-from drivers.clock import Waiting
 from drivers.errors import InputError, StateError
 from drivers.files import encoding_of, read_bytes, replace_file
+from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
 from hil.axis.backlash import object_key
 from hil.correction.sealed import check_detached, load_public_key
@@ -42,6 +43,9 @@ READ = "parameters read"
 BACKUP, COMPARE, VERIFY = "parameters backup", "parameters compare", "parameters verify"
 DOWNLOAD, STORE, RESTORE = "parameters download", "parameters store", "parameters restore"
 RESUME, ROLLBACK = "parameters resume", "parameters rollback"
+
+Connect = Callable[[Sequence[DriveAxis]], AbstractContextManager[list[RawParameters]]]
+"""Connects the parameters of each axis's drive."""
 
 
 # -- sets ----------------------------------------------------------------------------------------------------------------
@@ -95,14 +99,13 @@ def back_up_axes(
     *,
     everything: bool = False,
     progress: Progress = no_progress,
-    waiting: Waiting | None = None,
+    connect: Connect = connected_parameters,
 ) -> list[Backup]:
     """Read every writable parameter of each drive into a file each. A drive that could not be read has no file.
 
-    form: None, by each file's suffix; everything: also read-only parameters; waiting: as for `connected_parameters`, whose errors are
-    raised, as are those of `write_any`.
+    form: None, by each file's suffix; everything: also read-only parameters. Raises what connecting raises, and as `write_any`.
     """
-    with connected_parameters(axes, waiting) as drives:
+    with connect(axes) as drives:
         backups = back_up(drives, everything=everything, progress=progress)
     for axis, path, backup in zip(axes, paths, backups, strict=True):
         if backup.contents is not None:
@@ -116,10 +119,10 @@ def compare_axes(
     *,
     any_version: bool = False,
     progress: Progress = no_progress,
-    waiting: Waiting | None = None,
+    connect: Connect = connected_parameters,
 ) -> list[Comparison]:
     """Compare each drive with its set; nothing is written. Raises what connecting raises."""
-    with connected_parameters(axes, waiting) as drives:
+    with connect(axes) as drives:
         return compare(list(zip(drives, sets, strict=True)), any_version=any_version, progress=progress)
 
 
@@ -132,11 +135,11 @@ def write_axes(
     any_version: bool = False,
     other_eds: bool = False,
     progress: Progress = no_progress,
-    waiting: Waiting | None = None,
+    connect: Connect = connected_parameters,
 ) -> list[JobReport]:
     """Write each drive's set, all or nothing over all of them. store, ask: as for `download`; any_version, other_eds: as for `Target`.
     Raises as `download`, and connecting."""
-    with connected_parameters(axes, waiting) as drives:
+    with connect(axes) as drives:
         targets = [
             Target(
                 drive, contents, journal_of(axis), any_version, other_eds, bound_tables(axis), backlash_addresses(axis)
@@ -154,13 +157,17 @@ def backlash_addresses(axis: DriveAxis) -> tuple[str, ...]:
 
 
 def recover_axes(
-    axes: Sequence[DriveAxis], *, forward: bool, progress: Progress = no_progress, waiting: Waiting | None = None
+    axes: Sequence[DriveAxis],
+    *,
+    forward: bool,
+    progress: Progress = no_progress,
+    connect: Connect = connected_parameters,
 ) -> list[JobReport]:
     """Finish (forward) or undo interrupted downloads; empty where there is none. Raises as `recover`, and what connecting raises."""
     cut_off = [axis for axis in axes if unfinished(axis) is not None]
     if not cut_off:
         return []
-    with connected_parameters(cut_off, waiting) as drives:
+    with connect(cut_off) as drives:
         each = [(drive, journal_of(axis)) for drive, axis in zip(drives, cut_off, strict=True)]
         return recover(each, forward=forward, progress=progress)
 
@@ -180,7 +187,7 @@ def backup_job(axis: DriveAxis, path: Path | None = None) -> Job:
     path = path or new_backup_path(axis)
 
     def work(place: Workplace) -> BackedUp:
-        (backup,) = back_up_axes([axis], [path], progress=_progress_events(place), waiting=place.waiting)
+        (backup,) = back_up_axes([axis], [path], progress=_progress_events(place), connect=_connect(place))
         if backup.contents is None:
             raise StateError(backup.error)
         return BackedUp(path, len(backup.contents.entries), len(backup.unreadable or {}))
@@ -208,7 +215,7 @@ def read_job(axis: DriveAxis) -> Job:
     """Job that returns the Listing of everything that the drive shows; it writes nothing. Its work raises StateError on failure."""
 
     def work(place: Workplace) -> Listing:
-        with connected_parameters([axis], place.waiting) as drives:
+        with _connect(place)([axis]) as drives:
             (backup,) = back_up(drives, everything=True, progress=_progress_events(place))
         if backup.contents is None:
             raise StateError(backup.error)
@@ -229,7 +236,7 @@ def compare_job(axis: DriveAxis, contents: ParameterSet, kind: str = COMPARE) ->
 
 
 def _compared(axis: DriveAxis, contents: ParameterSet, place: Workplace) -> Comparison:
-    (found,) = compare_axes([axis], [contents], progress=_progress_events(place), waiting=place.waiting)
+    (found,) = compare_axes([axis], [contents], progress=_progress_events(place), connect=_connect(place))
     if found.error:
         raise StateError(found.error)
     return found
@@ -247,7 +254,9 @@ def store_job(axis: DriveAxis, contents: ParameterSet) -> Job:
     def work(place: Workplace) -> JobReport:
         if not _compared(axis, contents, place).same:
             raise StateError("the drive does not hold this set, so it was not told to store it")
-        (report,) = write_axes([axis], [contents], store=True, progress=_progress_events(place), waiting=place.waiting)
+        (report,) = write_axes(
+            [axis], [contents], store=True, progress=_progress_events(place), connect=_connect(place)
+        )
         return report
 
     return _job(axis, STORE, [Write("kept", contents.name)], work)
@@ -261,7 +270,7 @@ def restore_job(axis: DriveAxis) -> Job:
 
 def _writing(axis: DriveAxis, kind: str, contents: ParameterSet, writes: Sequence[Write]) -> Job:
     def work(place: Workplace) -> JobReport:
-        (report,) = write_axes([axis], [contents], progress=_progress_events(place), waiting=place.waiting)
+        (report,) = write_axes([axis], [contents], progress=_progress_events(place), connect=_connect(place))
         return report
 
     return _job(axis, kind, writes, work)
@@ -275,7 +284,7 @@ def recover_job(axis: DriveAxis, *, forward: bool) -> Job:
         raise StateError("nothing to do: no download was cut off")
 
     def work(place: Workplace) -> JobReport:
-        (report,) = recover_axes([axis], forward=forward, progress=_progress_events(place), waiting=place.waiting)
+        (report,) = recover_axes([axis], forward=forward, progress=_progress_events(place), connect=_connect(place))
         return report
 
     write = Write("parameters" if forward else "parameters_back", cut_off.set_name)
@@ -295,6 +304,10 @@ def _job(
 
     held = lambda result: not isinstance(result, JobReport) or result.good  # noqa: E731
     return Job(kind, plan, work_and_keep, connects=True, reached=held)
+
+
+def _connect(place: Workplace) -> Connect:
+    return partial(connected_parameters, waiting=place.waiting, bench=place.bench)
 
 
 def _progress_events(place: Workplace) -> Progress:

@@ -24,7 +24,7 @@ from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis, modbus_endpoint
 from hil.machine.bench_canopen import bench_node
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import RunningBench, bench_parameters
 from hil.parameters.journal import Journal
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import attach_to_wire
@@ -51,10 +51,13 @@ class _Lines:
 
 
 @contextmanager
-def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = None) -> Iterator[list[RawParameters]]:
+def connected_parameters(
+    axes: Sequence[DriveAxis], waiting: Waiting | None = None, bench: RunningBench | None = None
+) -> Iterator[list[RawParameters]]:
     """The parameters of each axis's drive, in the order of the axes. Connecting writes nothing to a drive.
 
-    waiting: the waits of the drives' clocks go through it, so that another thread can end a wait.
+    waiting: the waits of the drives' clocks go through it, so that another thread can end a wait
+    bench: the simulated machine of an axis with backend "bench", which runs; None: one is made
     Raises InputError for an axis given twice or in use by another process, CapabilityError for a drive without parameters on a wire,
     and what connecting raises.
     """
@@ -65,7 +68,7 @@ def connected_parameters(axes: Sequence[DriveAxis], waiting: Waiting | None = No
             if any(other.name == axis.name for other in axes if other is not axis):
                 raise InputError(f"axis {axis.name} is given twice, expected different ones", path=axis.path)
             stack.enter_context(held_axis(axis))
-            drives.append(_drive(axis, lines, stack))
+            drives.append(_drive(axis, lines, stack, bench))
         yield drives
 
 
@@ -94,7 +97,7 @@ def journal_of(axis: DriveAxis) -> Journal:
     return Journal(axis.store.directory / "parameters")
 
 
-def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
+def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack, running: RunningBench | None) -> RawParameters:
     if axis.drive.backend == "canopen":
         return _canopen(axis, (axis.drive.interface, axis.drive.channel), lines, stack)
     if axis.drive.backend == "modbus":
@@ -105,6 +108,10 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack) -> RawParameters:
             stack.callback(link.close)
             lines.modbus[endpoint] = ModbusLine(link)
         return _modbus(axis, lines.modbus[endpoint])
+    if axis.drive.backend == "bench" and running is not None and running.can is not None:
+        bus = ("bench", axis.name)
+        lines.can[bus] = CanLine(stack.enter_context(CanLink(running.can.master(), running.can.clock)))
+        return _canopen(axis, bus, lines, stack)
     if axis.drive.backend == "bench" and axis.drive.face == "canopen":
         bench = stack.enter_context(_bench(axis, lines.waiting))
         wire = SimWire(bench.clock, axis.drive.bitrate)  # waiting for an answer lets the bench's time pass

@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from hil.correction.store import SealedStore
     from hil.desk.axis_thread import Connection
     from hil.desk.job import Job, Workplace
+    from hil.machine.bench_wiring import RunningBench
     from hil.machine.session import AxisSession
     from hil.script.own_table import OwnTable
     from hil.script.parameters import Parameters
@@ -71,7 +72,8 @@ class OpenAxis(Axis):
         self._network = network
         self._shared = connection is not None
         self._stack = ExitStack()
-        self._bench: Bench | None = None
+        self._machine = ExitStack()  # the simulated machine
+        self._running: RunningBench | None = None
 
     @property
     def parameters(self) -> Parameters:
@@ -89,22 +91,30 @@ class OpenAxis(Axis):
 
     @property
     def bench(self) -> Bench:
-        """The simulated machine of an axis file with backend "bench", new at each connection. Raises CapabilityError on hardware."""
+        """The simulated machine of an axis file with backend "bench", new at each `hil.open`. Raises CapabilityError on hardware."""
         self._require()
-        if self._bench is None:
+        if self._running is None:
             raise CapabilityError(f"axis {self.name} is no simulated machine in this process")
-        return self._bench
+        return self._running.bench
 
     # -- coming and going ----------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
-        self._connect()
+        with ExitStack() as stack:
+            if self.file.drive.backend == "bench":
+                from hil.machine.bench_wiring import running_bench  # noqa: PLC0415  (the simulation loads slowly)
+
+                self._running = stack.enter_context(running_bench(self.file))
+            self._connect()
+            self._machine = stack.pop_all()
         return self
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         self._connection = None
-        self._stack.__exit__(exc_type, exc, traceback)
+        with self._machine:
+            self._stack.__exit__(exc_type, exc, traceback)
+        self._running = None
 
     def forget(self) -> None:
         """The connection is closed by its owner; forget it."""
@@ -120,10 +130,10 @@ class OpenAxis(Axis):
         with ExitStack() as stack:
             with naming_who_is_there(self.file):
                 if isinstance(self.file, AxisConfig):
-                    machine = stack.enter_context(connected(self.file, network=self._network))
-                    self._connection, self._bench = Connection(machine.session.drive, machine.session), machine.bench
+                    machine = stack.enter_context(connected(self.file, self._running, network=self._network))
+                    self._connection = Connection(machine.session.drive, machine.session)
                 else:
-                    drive = stack.enter_context(connected_drive(self.file, network=self._network))
+                    drive = stack.enter_context(connected_drive(self.file, self._running, network=self._network))
                     self._connection = Connection(drive, None)
                     self._alone = stack.enter_context(Supervisor([WatchedAxis(drive)]))
             self._opened_ns = self._connection.drive.clock.now_ns()
@@ -299,7 +309,9 @@ class OpenAxis(Axis):
         from hil.desk.job import Workplace  # noqa: PLC0415  (drivers load slowly)
 
         unseen = lambda _name, _drive, _session: None  # noqa: E731
-        return Workplace(self.file, drive, session, self._listener, self._tell, store, RealTime(), unseen)
+        return Workplace(
+            self.file, drive, session, self._listener, self._tell, store, RealTime(), unseen, bench=self._running
+        )
 
     def _tell(self, note: str) -> None:
         self._listener(Event("note", note, warning=True))
