@@ -22,6 +22,8 @@ from sim_backends.clock import SimClock
 from sim_backends.own_table import TableForm
 from sim_backends.servo import Servo
 
+_LOOK_NS = 10_000_000  # longest step of simulated time of a master that waits
+
 
 class _Bus(VirtualBus):
     """An end of the virtual bus. A frame is copied once for all receivers, with data bytes of its own."""
@@ -66,13 +68,15 @@ class _Asking(can.broadcastmanager.ModifiableCyclicTaskABC):
 class MasterBus(_Bus):
     """The master's end. A `recv` that finds nothing lets the drives handle their frames, then looks once more.
 
-    It never waits: without simulated time passing no other frame can come.
+    waits: whether it then lets simulated time pass, for drives that answer later, such as once their memory is written. Otherwise it
+    never waits: without simulated time passing no other frame can come.
     """
 
-    def __init__(self, channel: str, drives: list[_Drive], clock: SimClock) -> None:
+    def __init__(self, channel: str, drives: list[_Drive], clock: SimClock, *, waits: bool = False) -> None:
         super().__init__(channel)
         self._drives = drives
         self._clock = clock
+        self._waits = waits
 
     def _send_periodic_internal(
         self, msgs: Sequence[can.Message] | can.Message, period: float, *args: Any, **kwargs: Any
@@ -86,7 +90,16 @@ class MasterBus(_Bus):
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """As the base class, which would look again and again until `timeout` has passed in real time, s."""
-        return super().recv(None if timeout is None else 0.0)
+        message = super().recv(None if timeout is None else 0.0)
+        if not (self._waits and timeout):
+            return message
+        now_ns = self._clock.now_ns()
+        end_ns = now_ns + max(1, round(timeout * NS_PER_S))
+        while message is None and now_ns < end_ns:
+            self._clock.sleep_until_ns(min(end_ns, now_ns + _LOOK_NS))
+            now_ns = self._clock.now_ns()
+            message = super().recv(0.0)
+        return message
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         del timeout
@@ -152,9 +165,9 @@ class DrivesInTurn:
         self._drives.append(_Drive(station, bus, self.clock))
         return station.slave
 
-    def master(self) -> MasterBus:
-        """The bus for a master, which closes it."""
-        return MasterBus(self.channel, self._drives, self.clock)
+    def master(self, *, waits: bool = False) -> MasterBus:
+        """The bus for a master, which closes it. waits: as for `MasterBus`."""
+        return MasterBus(self.channel, self._drives, self.clock, waits=waits)
 
     def close(self) -> None:
         """Take the drives off the bus."""

@@ -83,11 +83,14 @@ def set_of_last(axis: DriveAxis) -> ParameterSet:
     return set_after(_ended_well(axis, journal, journal.last()))
 
 
+_ANOTHER = "expected a set: --set FILE, in a script download(FILE)"
+
+
 def _ended_well(axis: DriveAxis, journal: Journal, last: Download | None) -> Download:
     if last is None:
-        raise InputError(f"has no download of {axis.name} in its journal, expected --set FILE", path=journal.folder)
+        raise InputError(f"has no download of {axis.name} in its journal, {_ANOTHER}", path=journal.folder)
     if last.finished and last.ending not in (Ending.WRITTEN.name, Ending.UNCHANGED.name):
-        raise InputError("ended with everything put back, expected --set FILE", path=last.path)
+        raise InputError(f"ended with everything put back, {_ANOTHER}", path=last.path)
     return last
 
 

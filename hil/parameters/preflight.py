@@ -74,7 +74,8 @@ def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted
                 if other not in contents.addresses:
                     raise InputError(f"is to come after {other}, which is not in the set")
         except InputError as error:
-            objections.append(Objection(entry.address, parameter.info.name, error.what, entry.line))
+            unfit = error.what.removeprefix(f"{parameter.title}: ")  # the objection names it
+            objections.append(Objection(entry.address, parameter.info.name, unfit, entry.line))
             continue
         why = drive.objection(parameter, data)
         if why is not None:

@@ -110,7 +110,7 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack, running: RunningBen
         return _modbus(axis, lines.modbus[endpoint])
     if axis.drive.backend == "bench" and running is not None and running.can is not None:
         bus = ("bench", axis.name)
-        lines.can[bus] = CanLine(stack.enter_context(CanLink(running.can.master(), running.can.clock)))
+        lines.can[bus] = CanLine(stack.enter_context(CanLink(running.can.master(waits=True), running.can.clock)))
         return _canopen(axis, bus, lines, stack)
     if axis.drive.backend == "bench" and axis.drive.face == "canopen":
         bench = stack.enter_context(_bench(axis, lines.waiting))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,10 @@ if TYPE_CHECKING:
 
 
 class Parameters:
-    """A set is a file (TOML, DCF …), or values in the drive's units by address ("6072h", "2201h:01") or register name."""
+    """A set is a file (TOML, DCF …), or values in the drive's units by address ("6072h", "2201h:01", "0x6072") or register name.
+
+    What a set has that the drive's file has not, or that does not fit, is in `objections` of the result; nothing is written then.
+    """
 
     def __init__(self, file: DriveAxis, run: Callable[[Job], Any]) -> None:
         self._file, self._run = file, run
@@ -34,15 +38,13 @@ class Parameters:
         """Compare the drive with a set; nothing is written."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        found = self._run(job.compare_job(self._file, self._set(wanted)))
-        return ParameterComparison(self._file, None, found)
+        return self._compared(wanted, job.COMPARE)
 
     def verify(self, wanted: Wanted) -> ParameterComparison:
         """As `diff`, kept as the proof of a download."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        found = self._run(job.compare_job(self._file, self._set(wanted), job.VERIFY))
-        return ParameterComparison(self._file, None, found)
+        return self._compared(wanted, job.VERIFY)
 
     def download(self, wanted: Wanted) -> ParameterWriting:
         """Write what differs and read it back, all or nothing."""
@@ -57,10 +59,17 @@ class Parameters:
         return self._written(job.store_job(self._file, self._set(wanted)))
 
     def restore(self) -> ParameterWriting:
-        """Put back the values before the last download. Raises InputError where there is none."""
+        """Put back the values before the last download. Raises InputError where there is none: download a backup instead."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
         return self._written(job.restore_job(self._file))
+
+    def _compared(self, wanted: Wanted, kind: str) -> ParameterComparison:
+        from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
+
+        found = self._run(job.compare_job(self._file, self._set(wanted), kind))
+        given = {_address(name): name for name in wanted} if isinstance(wanted, Mapping) else {}
+        return ParameterComparison(self._file, None, found, given)
 
     def _written(self, writing: Job) -> ParameterWriting:
         return ParameterWriting(self._file, None, self._run(writing))
@@ -76,10 +85,13 @@ class Parameters:
         return load_set(wanted, self._file)
 
 
+_HEXADECIMAL = re.compile(r"^0[xX]([0-9A-Fa-f]{4})")
+
+
 def _address(name: str) -> str:
     """An object's address in full; a register's name as it is."""
     from hil.axis.backlash import object_key  # noqa: PLC0415
     from hil.parameters.set_file import object_address  # noqa: PLC0415
 
-    key = object_key(name)
+    key = object_key(_HEXADECIMAL.sub(r"\1h", name))
     return name if key is None else object_address(*key)

@@ -20,6 +20,7 @@ from hil.records.rows import Records
 from hil.script.given import Passwords
 
 if TYPE_CHECKING:  # what measures and fits loads slowly
+    from drivers.parameters import ParameterValue
     from hil.calibration.calibrate import Calibration
     from hil.calibration.job import Verification
     from hil.correction.tables import TableSet
@@ -391,6 +392,7 @@ class ParameterComparison(Result):
     """A drive compared with a set."""
 
     raw: Comparison
+    _given: Mapping[str, str]  # address -> as the script gave it
 
     @property
     def good(self) -> bool:
@@ -398,19 +400,29 @@ class ParameterComparison(Result):
         return self.raw.same
 
     @property
-    def differing(self) -> dict[str, tuple[object, object]]:
-        """By address: the value in the drive and the value in the set."""
-        return {row.address: (row.held, row.wanted) for row in self.raw.rows if row.side.name != "SAME"}
+    def differing(self) -> dict[str, tuple[ParameterValue | None, ParameterValue | None]]:
+        """By address, as it was given: the value in the drive and the value in the set; None where it could not be read."""
+        return {
+            self._given.get(row.address, row.address): (row.held, row.wanted)
+            for row in self.raw.rows
+            if row.side.name != "SAME"
+        }
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Why the set is not one for this drive: unknown addresses, values that do not fit, another model. Empty for none."""
+        return tuple(map(str, self.raw.objections))
 
     @property
     def sentence(self) -> str:
         """Whether it does, else why not."""
-        why = self.raw.error or "; ".join(map(str, self.raw.objections)) or f"{len(self.differing)} differ"
+        why = self.raw.error or "; ".join(self.objections) or f"{len(self.differing)} differ"
         return f"parameters of {self.axis.name}: {'as the set' if self.good else why}"
 
     def form(self) -> Mapping[str, Any]:
         """What differs."""
-        return {"axis": self.axis.name, "same": self.good, "differing": self.differing}
+        told = {"axis": self.axis.name, "same": self.good, "differing": self.differing}
+        return {**told, "objections": self.objections}
 
 
 @dataclass(frozen=True, repr=False)
@@ -425,11 +437,17 @@ class ParameterWriting(Result):
         return self.raw.good
 
     @property
+    def objections(self) -> tuple[str, ...]:
+        """Why nothing was written: unknown addresses, values that do not fit, another model. Empty for none."""
+        return tuple(map(str, self.raw.objections))
+
+    @property
     def sentence(self) -> str:
         """How it ended, and why where it failed."""
-        why = "; ".join(filter(None, (self.raw.error, *map(str, self.raw.objections))))
+        why = "; ".join(filter(None, (self.raw.error, *self.objections)))
         return f"parameters of {self.axis.name}: {self.raw.ending.value}{f': {why}' if why else ''}"
 
     def form(self) -> Mapping[str, Any]:
         """How it ended."""
-        return {"axis": self.axis.name, "good": self.good, "ending": self.raw.ending.name}
+        told = {"axis": self.axis.name, "good": self.good, "ending": self.raw.ending.name}
+        return {**told, "objections": self.objections}

@@ -318,6 +318,42 @@ def test_a_parameter_is_changed_proven_kept_and_put_back(modbus: tuple[Path, Fac
             axis.calibrate()
 
 
+def test_a_simulated_drive_keeps_its_parameters_as_long_as_it_is_open(path: Path) -> None:
+    with hil.open(path) as axis:
+        parameters, wanted = axis.parameters, {"6072h": 900}
+        with pytest.raises(hil.InputError, match=r"in a script download\(FILE\)"):
+            parameters.restore()
+        was, value = parameters.diff(wanted).differing["6072h"]
+        assert value == 900
+        assert was is not None
+        assert parameters.download(wanted).good
+        assert parameters.verify(wanted).good
+        assert parameters.verify({"0x6072": 900}).good
+        axis.home()
+        axis.move_to(20.0)
+        bench = axis.bench
+        assert parameters.verify(wanted).good, "moved meanwhile"
+        assert axis.bench is bench
+        assert axis.read().motor_mm == pytest.approx(20.0, abs=0.01), "where it was"
+        assert parameters.store(wanted).good
+        assert parameters.restore().good
+        assert parameters.verify({"6072h": was}).good
+    with hil.open(path) as axis:
+        assert axis.parameters.verify({"6072h": was}).good, "as new"
+
+
+def test_what_is_no_parameter_or_does_not_fit_is_said_and_not_written(path: Path) -> None:
+    with hil.open(path) as axis:
+        wanted = {"6072h": 900_000, "5000h": 1, "6065h": 900}
+        for result in (axis.parameters.diff(wanted), axis.parameters.verify(wanted), axis.parameters.download(wanted)):
+            assert not result.good
+            said, unknown = result.objections
+            assert "900000 does not fit" in said
+            assert said.count("6072h:00") == 1
+            assert unknown == "5000h:00: the drive's file has no such parameter"
+        assert not axis.parameters.verify({"6065h": 900}).good
+
+
 def test_rows_become_frames_where_those_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
     made = SimpleNamespace(DataFrame=lambda columns: {name: values.tolist() for name, values in columns.items()})
     rows = hil.Rows.from_lists(target_mm=[1.0, 2.0], motor_mm=[1.5, 2.5])
@@ -337,7 +373,10 @@ def main(path: str) -> float | None:
             axis.move_to(10.0 * place + 10.0)
             rows.append(axis.read())
         hil.Rows.of(rows).save("rows.csv")
+        held, _ = axis.parameters.diff({"6072h": 900}).differing["6072h"]
         axis.parameters.download({"6072h": 900})
+        if held is not None:
+            axis.parameters.download({"6072h": held})
         try:
             return axis.verify(runs=2).A_um
         except hil.UnprovenError as error:
