@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from drivers.cia402.wire import OBJECT_MISSING
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterValue
 from drivers.raw_parameters import RawParameter, RawParameters, Steps, T
@@ -22,7 +23,8 @@ class NamedParameters(DriveParameters):
         if self._present is None:
             shown = self._run(self._raw.read(list(self._raw.names.values())))
             for each in shown:
-                if each.error is not None and not isinstance(each.error, AbortError):
+                missing = isinstance(each.error, AbortError) and each.error.code in OBJECT_MISSING
+                if each.error is not None and not missing:
                     raise each.error
             self._present = tuple(
                 name for name, each in zip(self._raw.names, shown, strict=True) if each.data is not None
@@ -44,15 +46,9 @@ class NamedParameters(DriveParameters):
             raise CapabilityError(f"drive {raw.name}: {entry.title} {entry.refusal}")
         present = self._shown(entry)
         found = self._found[entry.address]
-        try:
-            data = found if raw.decode(entry, found) == value else raw.encode(entry, value)
-        except InputError as error:
-            raise InputError(f"{name}: {error.what}") from error
+        data = found if raw.decode(entry, found) == value else self._encoded(name, entry, value)
         if raw.same(entry, present, data):
             return False
-        outside = None if raw.same(entry, found, data) else raw.outside(entry, data)
-        if outside is not None:
-            raise InputError(f"{name}: {outside}", path=raw.path)
         refused = self._run(raw.write([(entry.address, data)]))[0].error
         if isinstance(refused, AbortError):
             why = str(refused).removeprefix(f"drive {raw.name}: ")
@@ -61,6 +57,15 @@ class NamedParameters(DriveParameters):
             raise refused
         self._run(raw.prove({entry.address: data}))
         return True
+
+    def _encoded(self, name: str, entry: RawParameter, value: ParameterValue) -> bytes:
+        outside = self._raw.outside(entry, value)
+        if outside is not None:
+            raise InputError(f"{name}: {outside}", path=self._raw.path)
+        try:
+            return self._raw.encode(entry, value)
+        except InputError as error:
+            raise InputError(f"{name}: {error.what}") from error
 
     def _shown(self, entry: RawParameter) -> bytes:
         data = self._run(self._raw.show([entry.address]))[entry.address]

@@ -6,15 +6,12 @@ commands are refused. Whole sets (snapshot, all-or-nothing transaction, audit) a
 
 from __future__ import annotations
 
-import math
-import operator
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 
 ParameterValue = int | float | str | bytes
-_ROUNDED = 1e-7  # relative, of a number with four bytes
 
 
 class ParameterKind(Enum):
@@ -43,13 +40,16 @@ class ParameterInfo:
     description: str = ""
 
     def outside(self, value: float) -> str | None:
-        """Why a value lies outside the range, None where it lies within, or as near to its end as the drive's bytes can hold it."""
-        for limit, far, word in ((self.low, operator.lt, "below"), (self.high, operator.gt, "above")):
-            if limit is not None and far(value, limit):
-                if isinstance(value, float) and math.isclose(value, limit, rel_tol=_ROUNDED):
-                    continue
-                return f"{value!r} is {word} its limit {limit:g}"
-        return None
+        """Why a value lies outside the range, with range and unit; None where it lies within."""
+        low, high = (None if limit is None else f"{limit:.15g}" for limit in (self.low, self.high))
+        if self.low is not None and value < self.low:
+            beyond = f"{value!r} is below its limit {low}"
+        elif self.high is not None and value > self.high:
+            beyond = f"{value!r} is above its limit {high}"
+        else:
+            return None
+        allowed = f"at most {high}" if low is None else f"at least {low}" if high is None else f"{low} to {high}"
+        return f"{beyond}, allowed is {allowed} {self.unit}".rstrip()
 
 
 class DriveParameters(ABC):

@@ -10,14 +10,15 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
 from drivers.clock import Clock
 from drivers.drive import DriveState
-from drivers.errors import BridgeError, ProtocolError
-from drivers.parameters import ParameterInfo, ParameterValue
+from drivers.errors import BridgeError, InputError, ProtocolError
+from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 
 T = TypeVar("T")
 Steps = Generator[object, None, T]
@@ -161,7 +162,7 @@ class RawParameters(ABC):
 
     @abstractmethod
     def encode(self, entry: RawParameter, value: ParameterValue) -> bytes:
-        """A value in its unit -> bytes. Raises InputError for a value outside the type; `outside` checks the limits."""
+        """A value in its unit -> bytes, rounded. Raises InputError for a value outside the type; `outside` checks the limits."""
 
     @abstractmethod
     def decode(self, entry: RawParameter, data: bytes) -> ParameterValue:
@@ -175,14 +176,24 @@ class RawParameters(ABC):
     def to_raw(self, entry: RawParameter, data: bytes) -> RawForm:
         """Bytes -> the raw value."""
 
-    def outside(self, entry: RawParameter, data: bytes) -> str | None:
-        """Why these bytes lie outside the limits, None where they lie within."""
-        value = self.decode(entry, data)
-        return entry.info.outside(value) if isinstance(value, int | float) else None
+    def outside(self, entry: RawParameter, value: ParameterValue) -> str | None:
+        """Why a value lies outside the limits; None where it lies within, or is what the drive's bytes hold for a limit."""
+        if not isinstance(value, int | float):
+            return None
+        why = replace(entry.info, unit=self.unit_of(entry)).outside(value)
+        return None if why is None or self._is_limit(entry, value) else why
+
+    def _is_limit(self, entry: RawParameter, value: float) -> bool:
+        limits = (entry.info.low, entry.info.high) if entry.info.kind is ParameterKind.NUMBER else ()
+        for limit in limits:
+            with suppress(InputError):  # a limit outside the type
+                if limit is not None and value == self.decode(entry, self.encode(entry, limit)):
+                    return True
+        return False
 
     def objection(self, entry: RawParameter, data: bytes) -> str | None:
         """Why these bytes may not be written there (no parameter, limits, wear), None when they may."""
-        return entry.refusal or self.outside(entry, data)
+        return entry.refusal or self.outside(entry, self.decode(entry, data))
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
         """Whether the bytes shown by the drive equal the bytes meant."""

@@ -178,8 +178,8 @@ class CanOpenRawParameters(RawParameters):
             return int(self._entry(entry).unpack(data))
         return data.hex()
 
-    def outside(self, entry: RawParameter, data: bytes) -> str | None:
-        return super().outside(entry, data) if pdo_at(entry.address) is None else PdoImage.unpack(data).objection()
+    def objection(self, entry: RawParameter, data: bytes) -> str | None:
+        return super().objection(entry, data) if pdo_at(entry.address) is None else PdoImage.unpack(data).objection()
 
     def same(self, entry: RawParameter, shown: bytes, meant: bytes) -> bool:
         if pdo_at(entry.address) is not None:

@@ -132,8 +132,10 @@ def download(there: ConnectedAxis, stored: Stored, made: DriveTable, how: Provin
 
 
 def prove(there: ConnectedAxis, stored: Stored, how: Proving) -> DriveTableResult:
-    """Prove the table that the drive holds. Raises ZeroError and MadeWithError, before any motion, for one of another zero, or made
-    with other parameters."""
+    """Prove the table that the drive holds. Raises, before any motion, InputError where nothing is to prove it, ZeroError and
+    MadeWithError for a table of another zero, or made with other parameters."""
+    if how.by == "nothing":
+        raise InputError("proof by nothing, expected by instrument or drive")
     axis, drive = there.axis, there.drive
     zero_keeper(axis).kept(tables=stored.compensation.zero)
     table = held_table(drive)

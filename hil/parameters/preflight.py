@@ -136,7 +136,11 @@ def data_of(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> b
     if entry.raw is None:
         if entry.value is None:
             raise InputError("has neither value nor raw")
-        return _encoded(drive, parameter, entry)
+        data = _encoded(drive, parameter, entry)
+        outside = drive.outside(parameter, entry.value)
+        if outside is not None and drive.objection(parameter, data) is None:
+            raise InputError(outside)  # rounding would put it within
+        return data
     data = drive.from_raw(parameter, entry.raw)
     if entry.value is not None and not _agree(drive, parameter, entry, data):
         try:

@@ -74,7 +74,10 @@ class OwnTable:
         seed: int = 1,
         tables_only: bool = False,
     ) -> DriveTableResult:
-        """Prove that the drive corrects as the bridge does, as `hil params table prove`; arguments as for `download`."""
+        """Prove that the drive corrects as the bridge does, as `hil params table prove`; arguments as for `download`.
+
+        Raises InputError for prove_by "nothing".
+        """
         from hil.drive_table.job import Proving, prove  # noqa: PLC0415  (drivers load slowly)
 
         axis, how = self._measured_file(), Proving(prove_by, positions, runs, tolerance_um, seed)

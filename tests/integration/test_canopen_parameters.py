@@ -36,7 +36,9 @@ def eds() -> EdsFile:
 class Rig:
     """One life of a drive; give the flash to the next."""
 
-    def __init__(self, eds: EdsFile, *faults: CanFault, flash: Flash | None = None, bitrate: int | None = None) -> None:
+    def __init__(
+        self, eds: EdsFile | None, *faults: CanFault, flash: Flash | None = None, bitrate: int | None = None
+    ) -> None:
         self.flash = flash if flash is not None else Flash()
         self.bench = CanBench((NODE,), bitrate, {NODE: faults}, flash=self.flash)
         self.stack = ExitStack()
@@ -102,6 +104,30 @@ def test_all_writable_parameters_take_their_own_value(rig: Rig) -> None:
     assert GAIN in writable
     for name in writable:
         assert rig.parameters.write(name, rig.parameters.read(name)) is False
+
+
+def test_without_an_eds_an_object_that_the_drive_lacks_is_left_out_and_a_refusal_is_raised() -> None:
+    refused: list[int] = []
+
+    def answer() -> int:
+        if refused:
+            raise AbortError("refused", refused[0])
+        return 20_000
+
+    rig = Rig(None)
+    with rig.stack:
+        rig.bench.slave.dictionary.on_read(0x6065, 0, answer)
+        refused.append(0x0800_0022)  # not in the present state
+        with pytest.raises(AbortError, match="refused"):
+            _ = rig.parameters.names
+        refused.clear()
+        assert "following_error_window" in rig.parameters.names
+    rig = Rig(None)
+    with rig.stack:
+        rig.bench.slave.dictionary.on_read(0x6065, 0, answer)
+        refused.append(0x0602_0000)  # no such object
+        assert "following_error_window" not in rig.parameters.names
+        assert "home_offset" in rig.parameters.names
 
 
 def test_an_unknown_object_is_refused(rig: Rig) -> None:

@@ -833,6 +833,45 @@ def test_a_parameter_beyond_its_maps_limits_is_put_back_as_found(name: str, tmp_
             drive.parameters.write(name, before - 1)
 
 
+@pytest.mark.parametrize(
+    ("value", "why"), [(300.04, "300.04 is above its limit 300"), (-0.04, "-0.04 is below its limit 0")]
+)
+def test_a_value_outside_the_limits_is_not_rounded_into_them(value: float, why: str) -> None:
+    with rig(VENDOR) as r, r.drive as drive:
+        for held in (300.0, 0.0, 123.4):
+            drive.parameters.write("torque_limit", held)
+            with pytest.raises(InputError, match=rf"torque_limit: {why}, allowed is 0 to 300 percent"):
+                drive.parameters.write("torque_limit", value)
+            assert drive.parameters.read("torque_limit") == pytest.approx(held)
+
+
+def test_only_what_the_drive_holds_for_a_limit_may_lie_beyond_it(tmp_path: Path) -> None:
+    """A number of four bytes holds 0.1 as 0.100000001, a whole number of steps of 0.1 holds 0.3 as 0.30000000000000004."""
+    path, text = tmp_path / "map.toml", re.sub(r"(?m)^limits = .*\n", "", find_map(CIA402).read_text(encoding="utf-8"))
+    for name, more in (
+        ("following_error_window", "limits = [0.001, 2000000.0]\nscale = 0.001\n"),
+        ("position_gain", "limits = [0.01, 0.1]\n"),
+        ("max_torque", "limits = [0, 0.3]\n"),
+    ):
+        text = text.replace(f"[registers.{name}]\n", f"[registers.{name}]\n{more}")
+    path.write_text(text, encoding="utf-8")
+    with rig(CIA402, map_path=path) as r, r.drive as drive:
+        for name, limit, low in (
+            ("following_error_window", 2_000_000.0, 0.5),
+            ("position_gain", 0.1, 0.05),
+            ("max_torque", 0.3, 0.1),
+        ):
+            drive.parameters.write(name, low)
+            assert drive.parameters.write(name, limit)
+            held = drive.parameters.read(name)
+            assert isinstance(held, float)
+            assert held == pytest.approx(limit, rel=1e-7)
+            assert drive.parameters.write(name, low)
+            assert drive.parameters.write(name, held)
+            with pytest.raises(InputError, match=f"{name}: .* is above its limit"):
+                drive.parameters.write(name, limit * (1.0 + 5e-8))
+
+
 def test_a_refused_parameter_names_itself() -> None:
     with rig(CIA402) as r, r.drive as drive:
         r.server.faults.add(WireFault(WireFaultKind.EXCEPTION, writes=True, code=3))

@@ -14,6 +14,7 @@ from support.modbus_parameters import COUNT, NEW, OLD, Fault, FaultyLine, FortyF
 from support.parameter_faults import KilledError
 
 from drivers.errors import AbortError, NoAnswerError
+from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import Request
 from drivers.raw_parameters import Pause, Steps
@@ -183,3 +184,13 @@ def test_a_pause_of_one_drive_is_the_others_time(forty: Path) -> None:
     assert isinstance(failing, NoAnswerError)
     assert quick == pytest.approx(0.5, abs=0.05)
     assert clock.now_ns() * 1e-9 == slow
+
+
+@pytest.mark.parametrize(("value", "why"), [(300.04, "above its limit 300"), (-0.04, "below its limit 0")])
+def test_a_value_of_a_set_is_not_rounded_into_the_limits(value: float, why: str) -> None:
+    clock = SimClock()
+    drive = connect(find_map("vendor_style"), FaultyLine(FortyFace(), clock, Fault()))
+    entry = SetEntry("torque_limit", value)
+    wanted, objections = match_set(drive, ParameterSet(drive.name, identity=None, entries=(entry,)))
+    assert not wanted
+    assert [str(each) for each in objections if f"{why}, allowed is 0 to 300 percent" in each.why]

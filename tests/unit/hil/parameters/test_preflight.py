@@ -26,7 +26,7 @@ def packed(value: float) -> bytes:
 
 
 class Doubles:
-    """A drive whose parameters are doubles, and equal when their bytes are; text is what has more than eight bytes."""
+    """A drive whose parameters are doubles without limits, equal when their bytes are; text has more than eight bytes."""
 
     def decode(self, _parameter: object, data: bytes) -> float | str:
         return struct.unpack("<d", data)[0] if len(data) == 8 else data.decode()
@@ -36,6 +36,9 @@ class Doubles:
 
     def same(self, _parameter: object, one: bytes, other: bytes) -> bool:
         return one == other
+
+    def outside(self, _parameter: object, _value: float | str) -> None:
+        return None
 
     def from_raw(self, _parameter: object, raw: str) -> bytes:
         return bytes.fromhex(raw)

@@ -222,6 +222,8 @@ def test_the_table_of_the_drive_is_written_proven_and_taken_out(
         assert json.loads(made.save(tmp_path / "made.json").read_text())["points"] == 11
         held = axis.drive_table.show()
         assert held["plus_um"][0] - held["minus_um"][0] == pytest.approx(12.0, abs=0.02)
+        with pytest.raises(hil.InputError, match="expected by instrument or drive"):
+            axis.drive_table.prove(prove_by="nothing")
         proven = axis.drive_table.prove(runs=1, positions=2)
         assert proven.good
         assert proven.proof is not None
