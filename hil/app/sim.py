@@ -162,8 +162,9 @@ def _add_homing(parser: argparse.ArgumentParser) -> None:
 
 def _add_machine(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("the machine")
-    group.add_argument("--machine", choices=BENCH_MACHINES, default="typical", help="default typical")
-    group.add_argument(
+    which = group.add_mutually_exclusive_group()
+    which.add_argument("--machine", choices=BENCH_MACHINES, default="typical", help="default typical")
+    which.add_argument(
         "--like",
         metavar="X-campaign",
         type=Path,

@@ -349,7 +349,10 @@ def _moving(document: Document) -> dict[str, Any]:
         what = f"is {limits.travel_max_mm:g}, expected more than travel_min_mm, {limits.travel_min_mm:g}"
         raise document.fail("axis.travel_max_mm", what)
     scaling = document.load(AxisScaling, "scaling")
-    drive = read_drive(document)
+    drive, store = read_drive(document), _store(document, section.name)
+    if drive.like is not None and drive.like.resolve() == store.directory.resolve():
+        what = "is the folder that this axis writes to itself, expected another [axis] name than the real axis's"
+        raise document.fail("drive.like", what)
     for key, place in (
         ("axis.travel_min_mm", limits.travel_min_mm),
         ("axis.travel_max_mm", limits.travel_max_mm),
@@ -363,7 +366,7 @@ def _moving(document: Document) -> dict[str, Any]:
         "limits": limits,
         "scaling": scaling,
         "drive": drive,
-        "store": _store(document, section.name),
+        "store": store,
         "backlash": read_backlash(document, limits, scaling, drive.backend) if "backlash" in document else None,
         "falls_without_power": section.vertical and not section.brake,
         "largest_reversal_um": section.largest_reversal_um,

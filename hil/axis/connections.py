@@ -131,6 +131,8 @@ def read_drive(document: Document) -> DriveConfig:
     for key, shipped in (("register_map", _MAPS), ("correction_table", BENCH_TABLES)):
         if backend == "bench" and key in given and getattr(config, key) not in shipped:
             raise document.fail(f"drive.{key}", f"is {shown(given[key])}, expected {either(shipped)}")
+    if "machine" in given and config.like is not None:
+        raise document.fail("drive.machine", "is not simulated beside like, expected one of the two")
     if config.profile and config.face != "canopen":
         raise document.fail("drive.profile", f"is for face canopen, the face is {config.face}")
     return config

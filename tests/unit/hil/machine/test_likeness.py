@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support import bench_axis
 
 import hil
+from drivers.errors import InputError
 from hil.app.main import main
 from hil.records.rows import Records
 
@@ -31,8 +34,24 @@ def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Recor
 def alike(source: Path) -> Path:
     """An axis file of the bench in the likeness of another axis, elsewhere."""
     path = bench_axis.lay_out(source.parents[1] / "likeness")
-    path.write_text(path.read_text().replace('machine = "geometric"', f'like = "{source}"'))
+    path.write_text(rehearsal(path, source))
     return path
+
+
+def rehearsal(path: Path, source: Path) -> str:
+    """The text of an axis file with the machine of its bench replaced."""
+    return path.read_text().replace('machine = "geometric"', f'like = "{source}"')
+
+
+def simulated(source: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    """What `hil sim` says of the machine in the likeness of an axis."""
+    assert main(["sim", "drive", "--interface", "slcan-pty", "--like", str(source), "--for", "0.05"]) == 0
+    machine: dict[str, Any] = json.loads(capsys.readouterr().out.splitlines()[0])["machine"]
+    return machine
+
+
+def files(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
 def means_um(rows: Records) -> list[float]:
@@ -79,3 +98,91 @@ def test_it_says_that_it_is_a_likeness(source: tuple[Path, Records], capsys: pyt
     assert 'name = "X-like"' in written.read_text(), "its rows never come into the real axis's folder"
     assert main([*words[:-3], str(folder.parent), "--for", "0.05"]) == 2
     assert "holds no measure.csv" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("like", ["X-campaign", "../real/X-campaign"])
+def test_it_never_writes_to_the_real_axis_s_folder(source: tuple[Path, Records], like: str) -> None:
+    folder, _ = source
+    before = files(folder)
+    copy = folder.parent / "rehearse.toml"
+    copy.write_text(rehearsal(folder.parent / "axis.toml", Path(like)))
+    with (
+        pytest.raises(InputError, match=r"rehearse.toml.*\[drive\] like.*another \[axis\] name") as raised,
+        hil.open(copy) as axis,
+    ):
+        axis.calibrate()
+    assert "\n" not in str(raised.value)
+    assert files(folder) == before
+    copy.write_text(copy.read_text().replace('name = "X"', 'name = "X-rehearsal"'))
+    with hil.open(copy) as axis:
+        axis.home()
+    assert files(folder) == before
+
+
+def test_only_a_campaign_that_is_complete_and_of_the_machine_itself_counts(
+    source: tuple[Path, Records], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each of the campaigns beside the one that counts is newer, and has a diagnosis that shows where it is taken."""
+    folder, _ = source
+    first = folder / "calibrate-001"
+    finding = {"effect": "cyclic", "action": "compensate", "peak_um": CYCLIC_UM}
+    for number, (without, mark, like) in enumerate(
+        [("finished", "", False), ("finished", "discarded", False), ("", "discarded", False), ("", "", True)], start=2
+    ):
+        again = Path(shutil.copytree(first, folder / f"calibrate-{number:03d}"))
+        (again / "before.diagnosis.json").write_text(json.dumps({"findings": [finding]}))
+        if without:
+            (again / without).unlink()
+        if mark:
+            (again / mark).touch()
+        if like:
+            purpose = json.loads((again / "campaign.json").read_text())
+            purpose["drive"]["like"] = str(folder)
+            (again / "campaign.json").write_text(json.dumps(purpose))
+        assert simulated(folder, capsys)["effects"] == {}, again.name
+    (first / "finished").unlink()
+    assert main(["sim", "drive", "--interface", "slcan-pty", "--like", str(folder), "--for", "0.05"]) == 2
+    assert "holds no measure.csv of a finished" in capsys.readouterr().err
+
+
+def test_a_reversal_error_that_was_not_measured_is_not_zero(
+    source: tuple[Path, Records], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, measured = source
+    rows = folder / "calibrate-001/measure.csv"
+    lines = rows.read_text().splitlines()
+    heading = next(at for at, line in enumerate(lines) if not line.startswith("#"))
+    column = lines[heading].split(",").index("direction")
+    up = [line for line in lines[heading + 1 :] if not line.startswith("#") and float(line.split(",")[column]) > 0]
+    assert len(up) == np.count_nonzero(measured.direction == 1)
+    rows.write_text("\n".join([*lines[: heading + 1], *up]) + "\n")
+    assert main(["sim", "drive", "--interface", "slcan-pty", "--like", str(folder), "--for", "0.05"]) == 2
+    assert "no target approached from both sides" in capsys.readouterr().err
+
+
+def test_effects_found_at_rest_stay_beside_those_in_motion(
+    source: tuple[Path, Records], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = source
+    found = {
+        "before": [("cyclic", 3.0), ("thermal_expansion", 8.0)],
+        "motion-before": [("velocity_lag", 4.0), ("cyclic", 1.0)],
+    }
+    for name, effects in found.items():
+        findings = [{"effect": effect, "action": "compensate", "peak_um": size} for effect, size in effects]
+        (folder / f"calibrate-001/{name}.diagnosis.json").write_text(json.dumps({"findings": findings}))
+    assert simulated(folder, capsys)["effects"] == {"cyclic": 3.0, "thermal_expansion": 8.0, "velocity_lag": 4.0}
+
+
+def test_a_machine_and_a_likeness_together_are_refused(
+    source: tuple[Path, Records], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = source
+    words = ["sim", "drive", "--interface", "slcan-pty", "--like", str(folder), "--machine", "worn", "--for", "0.05"]
+    with pytest.raises(SystemExit, match="2"):
+        main(words)
+    assert "not allowed with argument" in capsys.readouterr().err
+    path = alike(folder)
+    path.write_text(path.read_text().replace("like =", 'machine = "worn"\nlike ='))
+    with pytest.raises(InputError, match=r"\[drive\] machine.*beside like"), hil.open(path):
+        pass
