@@ -32,11 +32,13 @@ def canopen_bus(
     return bus
 
 
-def canopen_drives(axes: Sequence[DriveAxis], bus: DrivesInTurn, stack: ExitStack) -> list[CanOpenDrive]:
+def canopen_drives(
+    axes: Sequence[DriveAxis], bus: DrivesInTurn, clock: SimClock, stack: ExitStack
+) -> list[CanOpenDrive]:
     """Drives for the nodes of such a bus."""
-    place = ("virtual", bus.channel)
-    links = Links({place: stack.enter_context(CanLink(bus.master(), bus.clock))})
-    return [canopen_drive(axis, bus.clock, place, stack, links=links) for axis in axes]
+    place = ("virtual", "bench")  # of these links alone
+    links = Links({place: stack.enter_context(CanLink(bus.master(), clock))})
+    return [canopen_drive(axis, clock, place, stack, links=links) for axis in axes]
 
 
 def bench_node(axis: DriveAxis, bench: Bench) -> tuple[Mapping[tuple[int, int], int], Callable[..., CanOpenSlave]]:

@@ -82,11 +82,7 @@ class RunningBench:
 
     def drive(self, axis: DriveAxis, stack: ExitStack) -> ServoDrive:
         """A connection to its drive."""
-        if self.can is None:
-            return _drives([axis], [self.bench], stack)[0]
-        from hil.machine.bench_canopen import canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
-
-        return canopen_drives([axis], self.can, stack)[0]
+        return _drives([axis], [self.bench], stack, self.can)[0]
 
     def machine(self, axis: AxisConfig, stack: ExitStack) -> Machine:
         """A connection to its drive and its instrument."""
@@ -132,8 +128,13 @@ def make_bench(axis: DriveAxis, parameters: BenchParameters, clock: SimClock, st
     return stack.enter_context(Bench(parameters, clock=clock))
 
 
-def _drives(axes: Sequence[DriveAxis], benches: Sequence[Bench], stack: ExitStack) -> Sequence[ServoDrive]:
-    """Drives on the wire that the axis files name. Of several, nodes 1, 2 … of one bus, units 1, 2 … of one line."""
+def _drives(
+    axes: Sequence[DriveAxis], benches: Sequence[Bench], stack: ExitStack, can: DrivesInTurn | None = None
+) -> Sequence[ServoDrive]:
+    """Drives on the wire that the axis files name. Of several, nodes 1, 2 … of one bus, units 1, 2 … of one line.
+
+    can: the bus that the benches' servos are nodes of already
+    """
     face, clock = axes[0].drive.face, benches[0].clock
     if face == "virtual":
         return [virtual_drive(*pair) for pair in zip(axes, benches, strict=True)]
@@ -141,9 +142,11 @@ def _drives(axes: Sequence[DriveAxis], benches: Sequence[Bench], stack: ExitStac
         axes = [replace(axis, drive=replace(axis.drive, node_id=n, unit=n)) for n, axis in enumerate(axes, start=1)]
     pairs = list(zip(axes, benches, strict=True))
     if face == "canopen":
-        from hil.machine.bench_canopen import canopen_bus, canopen_drives  # noqa: PLC0415  (as `RunningBench.drive`)
+        from hil.machine.bench_canopen import canopen_bus, canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-        return canopen_drives(axes, canopen_bus([(*pair, bench_table(*pair)) for pair in pairs], clock, stack), stack)
+        if can is None:
+            can = canopen_bus([(*pair, bench_table(*pair)) for pair in pairs], clock, stack)
+        return canopen_drives(axes, can, clock, stack)
     from hil.machine.bench_modbus import modbus_drives  # noqa: PLC0415  (as above)
 
     return modbus_drives({axis.drive.unit: (axis, bench) for axis, bench in pairs}, clock, stack)
