@@ -18,7 +18,7 @@ from sim_backends import laser_effects
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
 from sim_backends.gauge import GaugeParameters, SimulatedGauge
-from sim_backends.homing import HOMING_METHODS, Switches
+from sim_backends.homing import HOMING_METHODS, LIMIT_SWITCH_AND_INDEX, Switches
 from sim_backends.laser import LaserParameters, SimulatedLaser
 from sim_backends.plant import switches
 from sim_backends.plant.axis import FeedAxis
@@ -57,7 +57,7 @@ class BenchParameters:
     gauge: GaugeParameters | None = None
     laser_faults: tuple[Fault, ...] = ()
     servo_faults: tuple[Fault, ...] = ()
-    homing_method: int = 1
+    homing_method: int = LIMIT_SWITCH_AND_INDEX
     trigger_input: int | None = None
     step_s: float = 0.005
 

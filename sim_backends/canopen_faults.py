@@ -9,53 +9,10 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from enum import Enum
 
 from drivers.clock import NS_PER_S
 from sim_backends.canopen_profile import Defect, DriveProfile
-
-
-class CanFaultKind(Enum):
-    """Kinds of fault; the comment gives the meaning of `size`, which the others ignore."""
-
-    # SDO
-    SDO_LATE = "SDO answers come late"  # size: s
-    SDO_LOST = "SDO answers are lost"
-    SDO_REQUEST_LOST = "SDO requests are lost"
-    SDO_ABORTED = "SDO requests are refused"  # size: abort code
-    SDO_WRITE_ABORTED = "SDO writes are refused"  # size: abort code
-    SDO_WRONG_INDEX = "SDO answers name another index"
-    SDO_GARBAGE = "SDO answers carry an impossible command"
-    SDO_SHORT = "SDO answers are cut short"
-    SDO_WRONG_VALUE = "SDO reads show another value"
-    # PDO and SYNC
-    TPDO_LOST = "TPDOs are lost"
-    TPDO_LATE = "TPDOs come late"  # size: s
-    TPDO_SHORT = "TPDOs are cut short"
-    RPDO_LOST = "RPDOs are lost"
-    SYNC_LOST = "SYNC is not received"
-    # supervision
-    HEARTBEAT_STOPS = "the heartbeat stops"
-    EMCY_BURST = "a burst of emergencies"  # size: how many
-    DUPLICATES = "every frame is sent twice"
-    # the node
-    NODE_DEAD = "the node is cut off from the bus: it neither sends nor receives"
-    REBOOT = "the node restarts by itself"
-    POWER_CUT = "the drive loses its supply and starts again"
-    NMT_STOPPED = "another master stops the node"
-    NMT_PRE_OPERATIONAL = "another master takes the node out of operation"
-    FOREIGN_CONTROLWORD = "another master writes the controlword"  # size: the word
-    # the firmware
-    SAFE_TORQUE_OFF = "safe torque off is active"
-    BRAKE_STUCK = "the brake never opens"
-    SETPOINT_NOT_TAKEN = "the set-point is never acknowledged"
-    ACKNOWLEDGE_STUCK = "the acknowledge bit stays set"
-    NEVER_ARRIVES = "target reached is never shown"
-    MODE_STUCK = "the mode of operation does not change"
-    LOCAL_CONTROL = "the drive does not listen to the controlword"
-    STATUS_IMPOSSIBLE = "the statusword is one that the standard does not have"
-    FAULT_STAYS = "a fault cannot be reset"
-    DRIVE_FAULT = "the drive goes into a fault"  # size: error code
+from sim_backends.faults import CanFaultKind
 
 
 @dataclass(frozen=True)

@@ -13,13 +13,13 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any
 
 from drivers.errors import InputError
 from drivers.toml_schema import Document
 from drivers.toml_types import Limits, Positive, SchemaError, Text, Via, not_empty, one_of
+from sim_backends import profile_paths
 from sim_backends.canopen_dictionary import Key
 from sim_backends.maker_file import MakerFile, MotionUnits, motion_units, read_maker_file
 
@@ -257,13 +257,6 @@ class DriveProfileFile:
         elif s.acceleration_counts_s2 is not None:
             acceleration = s.acceleration_counts_s2 * position
         return MotionUnits(position, velocity, acceleration, f"profile {self.name}")
-
-
-def profile_paths() -> dict[str, Path]:
-    """The profiles that come with the package, by name."""
-    folder = resources.files("sim_backends") / "profiles"
-    found = sorted(str(item) for item in folder.iterdir() if item.name.endswith(".toml"))
-    return {Path(item).stem: Path(item) for item in found}
 
 
 def load_profile(name_or_path: str | Path) -> DriveProfileFile:

@@ -12,12 +12,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum
 
 from drivers.errors import InputError
-from sim_backends.canopen_faults import CanFault, CanFaultKind
-from sim_backends.faults import Fault, FaultKind
-from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind, Fault, FaultKind, WireFaultKind, fault_names
+from sim_backends.modbus_faults import WireFault
 
 _TEXT = re.compile(
     r"(?P<kind>[a-z][a-z-]*)"
@@ -35,11 +34,6 @@ class Faults:
     servo: tuple[Fault, ...] = ()
     can: tuple[CanFault, ...] = ()
     modbus: tuple[WireFault, ...] = ()
-
-
-def fault_names(kind: type[Enum]) -> tuple[str, ...]:
-    """The names of the kinds as they are typed."""
-    return tuple(member.name.lower().replace("_", "-") for member in kind)
 
 
 def parse_faults(texts: Iterable[str], *, wire: type[CanFaultKind] | type[WireFaultKind] | None = None) -> Faults:

@@ -1,4 +1,4 @@
-"""Faults of a simulated part and their times, as data; each part acts on the faults of its own kinds.
+"""Faults of a simulated part and their times, as data; each part acts on the faults of its own kinds. All kinds have their names here.
 
 Times are seconds of simulated time since the clock's zero.
 """
@@ -12,7 +12,7 @@ from enum import Enum
 
 
 class FaultKind(Enum):
-    """Kinds of fault; the comment gives the meaning of `size`."""
+    """Kinds of fault of a machine; the comment gives the meaning of `size`."""
 
     # of the interferometer's signal
     BEAM_LOST = "beam lost"  # the count runs away while it lasts
@@ -29,6 +29,73 @@ class FaultKind(Enum):
     DRIVE_FAULT = "drive fault"  # size = error code
     JAM = "jam"  # the shaft is blocked
     TORQUE_NOISE = "torque noise"  # size: additional noise, 0.1 %
+
+
+class CanFaultKind(Enum):
+    """Kinds of fault of a CANopen drive and its bus; the comment gives the meaning of `size`, which the others ignore."""
+
+    # SDO
+    SDO_LATE = "SDO answers come late"  # size: s
+    SDO_LOST = "SDO answers are lost"
+    SDO_REQUEST_LOST = "SDO requests are lost"
+    SDO_ABORTED = "SDO requests are refused"  # size: abort code
+    SDO_WRITE_ABORTED = "SDO writes are refused"  # size: abort code
+    SDO_WRONG_INDEX = "SDO answers name another index"
+    SDO_GARBAGE = "SDO answers carry an impossible command"
+    SDO_SHORT = "SDO answers are cut short"
+    SDO_WRONG_VALUE = "SDO reads show another value"
+    # PDO and SYNC
+    TPDO_LOST = "TPDOs are lost"
+    TPDO_LATE = "TPDOs come late"  # size: s
+    TPDO_SHORT = "TPDOs are cut short"
+    RPDO_LOST = "RPDOs are lost"
+    SYNC_LOST = "SYNC is not received"
+    # supervision
+    HEARTBEAT_STOPS = "the heartbeat stops"
+    EMCY_BURST = "a burst of emergencies"  # size: how many
+    DUPLICATES = "every frame is sent twice"
+    # the node
+    NODE_DEAD = "the node is cut off from the bus: it neither sends nor receives"
+    REBOOT = "the node restarts by itself"
+    POWER_CUT = "the drive loses its supply and starts again"
+    NMT_STOPPED = "another master stops the node"
+    NMT_PRE_OPERATIONAL = "another master takes the node out of operation"
+    FOREIGN_CONTROLWORD = "another master writes the controlword"  # size: the word
+    # the firmware
+    SAFE_TORQUE_OFF = "safe torque off is active"
+    BRAKE_STUCK = "the brake never opens"
+    SETPOINT_NOT_TAKEN = "the set-point is never acknowledged"
+    ACKNOWLEDGE_STUCK = "the acknowledge bit stays set"
+    NEVER_ARRIVES = "target reached is never shown"
+    MODE_STUCK = "the mode of operation does not change"
+    LOCAL_CONTROL = "the drive does not listen to the controlword"
+    STATUS_IMPOSSIBLE = "the statusword is one that the standard does not have"
+    FAULT_STAYS = "a fault cannot be reset"
+    DRIVE_FAULT = "the drive goes into a fault"  # size: error code
+
+
+class WireFaultKind(Enum):
+    """Kinds of fault of a Modbus wire; the comment says whether the request is carried out."""
+
+    LATE_REPLY = "late reply"  # carried out; the reply leaves delay_s of simulated time later
+    DISPLACED = "displaced reply"  # carried out; the reply leaves just before the next one on the same wire
+    NO_REPLY = "no reply"  # carried out; the reply is lost
+    LOST_REQUEST = "lost request"  # neither carried out nor answered
+    EXCEPTION = "exception"  # not carried out, answered with `code`
+    BAD_CRC = "damaged reply"  # carried out; one bit of the reply's check (TCP: of its protocol id) is flipped
+    WRONG_UNIT = "wrong unit"  # carried out; the reply names the next unit
+    WRONG_FUNCTION = "wrong function"  # carried out; the reply is one to another function
+    WRONG_ECHO = "wrong echo"  # carried out; the reply to a write names another address
+    TRUNCATED = "truncated reply"  # carried out; only the first half of the reply is sent
+    TORN = "torn reply"  # carried out; half of the reply is sent, the rest just before the next one
+    SHORT_DATA = "short data"  # carried out; a well-formed reply with one register too few
+    DROP = "connection dropped"  # carried out; TCP: the connection is closed instead of a reply
+    DROP_REQUEST = "connection dropped before"  # not carried out; TCP: the connection is closed
+
+
+def fault_names(kind: type[Enum]) -> tuple[str, ...]:
+    """The names of the kinds as they are typed."""
+    return tuple(member.name.lower().replace("_", "-") for member in kind)
 
 
 @dataclass(frozen=True)

@@ -56,6 +56,8 @@ HOMING_METHODS: dict[int, HomingMethod] = {
     35: HomingMethod(None),  # the present position, former number
     37: HomingMethod(None),  # the present position
 }
+LIMIT_SWITCH_AND_INDEX = 1
+"""The method of a simulated drive that is not told another."""
 
 
 class Switches:

@@ -15,6 +15,7 @@ import can
 
 from drivers.clock import Clock
 from drivers.errors import InputError, LinkLostError
+from sim_backends import MODBUS_SHAPES
 from sim_backends.bench import Bench
 from sim_backends.canopen_drive import CanOpenSlave, with_faults
 from sim_backends.canopen_faults import CanFault
@@ -31,7 +32,6 @@ from sim_backends.own_table import TableForm
 from sim_backends.serve import Pace
 from sim_backends.slcan import SlcanDevice
 
-MODBUS_SHAPES = ("cia402", "vendor")
 _SUPERVISION_NS = 20_000_000  # longest interval at which the drive's firmware checks the servo
 _MOST_FRAMES = 64  # handled in a row before anything else runs
 

@@ -21,7 +21,8 @@ from dataclasses import dataclass, field
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import InputError
 from sim_backends.clock import Advance, SimClock
-from sim_backends.modbus_faults import WireFault, WireFaultKind, WireFaultPlan
+from sim_backends.faults import WireFaultKind
+from sim_backends.modbus_faults import WireFault, WireFaultPlan
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
 from sim_backends.modbus_registers import GATEWAY_NO_RESPONSE, Face, answer
 

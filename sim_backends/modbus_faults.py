@@ -4,28 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from enum import Enum
+
+from sim_backends.faults import WireFaultKind
 
 _WRITES = (5, 6, 15, 16)
-
-
-class WireFaultKind(Enum):
-    """Kinds of fault; the comment says whether the request is carried out."""
-
-    LATE_REPLY = "late reply"  # carried out; the reply leaves delay_s of simulated time later
-    DISPLACED = "displaced reply"  # carried out; the reply leaves just before the next one on the same wire
-    NO_REPLY = "no reply"  # carried out; the reply is lost
-    LOST_REQUEST = "lost request"  # neither carried out nor answered
-    EXCEPTION = "exception"  # not carried out, answered with `code`
-    BAD_CRC = "damaged reply"  # carried out; one bit of the reply's check (TCP: of its protocol id) is flipped
-    WRONG_UNIT = "wrong unit"  # carried out; the reply names the next unit
-    WRONG_FUNCTION = "wrong function"  # carried out; the reply is one to another function
-    WRONG_ECHO = "wrong echo"  # carried out; the reply to a write names another address
-    TRUNCATED = "truncated reply"  # carried out; only the first half of the reply is sent
-    TORN = "torn reply"  # carried out; half of the reply is sent, the rest just before the next one
-    SHORT_DATA = "short data"  # carried out; a well-formed reply with one register too few
-    DROP = "connection dropped"  # carried out; TCP: the connection is closed instead of a reply
-    DROP_REQUEST = "connection dropped before"  # not carried out; TCP: the connection is closed
 
 
 @dataclass(frozen=True)

@@ -73,8 +73,8 @@ VERBS = {
     "open": ("files.open__options", "read a sealed file"),
     "sign": ("files.sign_options", "sign a file with the builder's key, or make the key"),
     "check": ("files.check_options", "check the builder's signature"),
-    "panel": ("app.panel.command", "the operator's screen in a browser on loopback"),
-    "sim": ("app.sim", "simulated drive and laser as processes on a real interface"),
+    "panel": ("app.panel.command_options", "the operator's screen in a browser on loopback"),
+    "sim": ("app.sim_options", "simulated drive and laser as processes on a real interface"),
 }
 """Verb -> the module in `hil` of its options and its line in the help, in the order of the help. It is imported when its verb is
 called, and what the verb runs after its options are read."""

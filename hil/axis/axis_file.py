@@ -35,10 +35,11 @@ from drivers.toml_types import (
     not_empty,
     one_of,
 )
+from hil.axis import BENCH_MACHINES
 from hil.axis.agreement import REVERSAL_UM, AgreementLimits
 from hil.axis.backlash import BacklashConfig, read_backlash
 from hil.axis.certificate import CertificateConfig
-from hil.axis.connections import BENCH_MACHINES, DriveConfig, HomingConfig, read_drive
+from hil.axis.connections import DriveConfig, HomingConfig, read_drive
 from hil.axis.instrument import DisplayConfig, InstrumentConfig, read_instrument
 from hil.axis.lost_motion import LostMotionConfig, read_lost_motion
 from hil.correction.bound import CAREFUL, CorrectionBound

@@ -11,16 +11,10 @@ from typing import Annotated, Any
 
 from drivers.toml_schema import Document, either, shown
 from drivers.toml_types import Count, File, Limits, Number, Positive, Text, Via, one_of
-
-BENCH_MACHINES = ("ideal", "geometric", "bent", "typical", "worn")
-"""Simulated axes of the bench: without error; pitch and backlash only; the same on a way that is not straight; with what a workshop
-adds (heat, lost motion, screw cyclic); with a soft drive train that winds up by some 53 µm."""
+from hil.axis import BENCH_MACHINES, BENCH_TABLES
 
 BENCH_FACES = ("canopen", "modbus-tcp", "modbus-rtu", "virtual")
 """How the bench's drive is shown: on a virtual CAN bus, a loopback port, a pty, or with no wire in between."""
-
-BENCH_TABLES = ("simulated_array", "simulated_domain")
-"""Correction tables that the bench's drive can hold itself; over Modbus it has that of its register map."""
 
 GUARD_S = 2.0
 """How long a drive on a machine goes on without hearing us, unless its axis file says otherwise."""

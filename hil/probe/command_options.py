@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Callable
 
-from hil.probe.machine_file import MODES
+from hil.probe import MODES
 from hil.ui.terminal.options import KEY, READING, Later, add_json_option
 
 EXAMPLE = """\

@@ -28,9 +28,8 @@ from drivers.toml_types import (
     one_of,
 )
 from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.probe import MODES
 from hil.probe.runout import ANGLES_DEG, CorrectionCode
-
-MODES = ("latch", "step")
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,10 @@ from functools import partial
 
 from nicegui import ui
 
+from hil.probe import MODES
 from hil.probe import job as probe
 from hil.probe.job import MeasuredRunOut
-from hil.probe.machine_file import MODES, ProbeMachineConfig
+from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.page_data import (
     ProbeRecord,
     angle_deg,

@@ -18,9 +18,9 @@ from drivers.clock import NS_PER_S, WallClock
 from drivers.errors import StateError
 from hil.testing.files import lay_out, machine_parameters
 from sim_backends.bench import Bench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.fault_text import Faults, parse_faults
-from sim_backends.faults import Fault
+from sim_backends.faults import CanFaultKind, Fault
 from sim_backends.machine import CanDrive, open_bus
 from sim_backends.serve import Pace, run_in_real_time
 

@@ -37,9 +37,9 @@ from drivers.errors import (
 )
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_wire import WirePort
-from sim_backends.faults import Fault, FaultKind
+from sim_backends.faults import CanFaultKind, Fault, FaultKind
 
 K = CanFaultKind
 NODE = 5

@@ -27,7 +27,8 @@ from drivers.errors import (
 )
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 LIMITS = DriveLimits(-300.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
 SCALING = AxisScaling(100_000, 10.0)

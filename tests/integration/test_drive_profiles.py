@@ -28,9 +28,10 @@ from drivers.drive import Capability, DriveLimits, DriveState, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, InputError, ProtocolError
 from hil.app.main import main
 from hil.machine.supervisor import homing_time_s
+from sim_backends import profile_paths
 from sim_backends.canopen_profile import Defect
 from sim_backends.canopen_quirks import ProfiledSlave
-from sim_backends.drive_profiles import BASE, STRENGTHS, load_profile, profile_paths
+from sim_backends.drive_profiles import BASE, STRENGTHS, load_profile
 from sim_backends.maker_file import read_maker_file
 
 NAMES = tuple(profile_paths())

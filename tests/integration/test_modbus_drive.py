@@ -40,9 +40,10 @@ from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_profile import Defect
 from sim_backends.clock import SimClock
+from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer
-from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.modbus_faults import WireFault
 from sim_backends.modbus_registers import Bank, Space, Value
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo

@@ -25,9 +25,10 @@ from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
+from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer, tcp_server
-from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.modbus_faults import WireFault
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import ServoParameters, SimulatedServo
 

@@ -31,7 +31,8 @@ from hil.parameters.set_file import ParameterSet, read_set, write_set
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import Target
 from sim_backends.canopen_drive import EDS
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 DATA = Path(os.environ.get("HIL_SHARED_DATA", Path(__file__).parents[3] / "shared" / "data")) / "eds"
 CONFIGURED = re.compile(rb"(?im)^\s*parametervalue\s*=\s*\S")

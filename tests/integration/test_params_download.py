@@ -20,8 +20,9 @@ from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import Target
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash
+from sim_backends.faults import CanFaultKind
 
 COUNT = 8
 KEYS = maker_keys(COUNT)

@@ -22,8 +22,9 @@ from hil.parameters.download import download
 from hil.parameters.report import Ending
 from hil.parameters.tasks import run_together
 from hil.parameters.transaction import Target
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.clock import SimClock
+from sim_backends.faults import CanFaultKind
 
 COUNT = 12
 KEYS = maker_keys(COUNT)

@@ -52,8 +52,9 @@ from hil.records.journal import Campaign
 from hil.records.rows import read_csv
 from sim_backends.can_bus_model import frame_bits
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_wire import SimWire
+from sim_backends.faults import CanFaultKind
 
 NODE, PERIOD_S, HOUR_S = 5, 0.05, 3600.0
 COUNTS_PER_MM = 10_000

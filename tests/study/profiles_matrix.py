@@ -29,10 +29,11 @@ from hil.app.main import main
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 from hil.machine import bench_canopen
 from hil.ui.terminal import progress
+from sim_backends import profile_paths
 from sim_backends.bench import BenchParameters
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.canopen_quirks import ProfiledSlave, machine_objects, profile_counts
-from sim_backends.drive_profiles import DriveProfileFile, load_profile, profile_paths
+from sim_backends.drive_profiles import DriveProfileFile, load_profile
 from sim_backends.maker_file import MotionUnits
 from sim_backends.servo import SimulatedServo
 

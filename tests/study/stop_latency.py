@@ -45,9 +45,10 @@ from drivers.set_points import SetPointSettings
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import served
+from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server
-from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.modbus_faults import WireFault
 from sim_backends.servo import SimulatedServo
 
 PAGE = Path(__file__).parents[2] / "hil" / "docs" / "stopping.md"

@@ -24,9 +24,10 @@ from hil.parameters.download import download
 from hil.parameters.recover import recover
 from hil.parameters.report import Ending
 from hil.parameters.transaction import Target
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort
+from sim_backends.faults import CanFaultKind
 
 COUNT = 40
 KEYS = maker_keys(COUNT)

@@ -16,9 +16,10 @@ from hil.parameters.journal import Journal
 from hil.parameters.set_file import ParameterSet, SetEntry
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import EDS
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash
 from sim_backends.clock import SimClock
+from sim_backends.faults import CanFaultKind
 
 TYPES = ((0x0007, 4, 0), (0x0006, 2, 0), (0x0005, 1, 0), (0x0004, 4, -5), (0x0003, 2, -5), (0x0002, 1, -5))
 """CiA code, bytes and default of the manufacturer parameters, in turn."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from drivers.errors import InputError
-from sim_backends.canopen_faults import CanFault, CanFaultKind
-from sim_backends.fault_text import Faults, fault_names, parse_faults
-from sim_backends.faults import Fault, FaultKind
-from sim_backends.modbus_faults import WireFault, WireFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.fault_text import Faults, parse_faults
+from sim_backends.faults import CanFaultKind, Fault, FaultKind, WireFaultKind, fault_names
+from sim_backends.modbus_faults import WireFault
 
 
 def test_each_goes_to_the_part_that_it_happens_to() -> None:

@@ -13,7 +13,8 @@ from drivers.canopen.scan import FoundNode, listen, scan
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
 from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 SDO_REQUESTS = range(0x601, 0x680)
 READS = (0x40, 0x60, 0x70, 0x80)  # initiate upload, segments of it, and the master's abort

@@ -33,7 +33,8 @@ from drivers.errors import (
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_drive import EDS
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 NODE = 5
 LIMITS = DriveLimits(-200.0, 200.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)

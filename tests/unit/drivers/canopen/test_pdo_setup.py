@@ -12,7 +12,8 @@ from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, ProtocolError
 from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 NODE = 5
 STREAM = PdoSpec(1, False, 0x205, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))

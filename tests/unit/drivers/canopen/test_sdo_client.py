@@ -13,7 +13,8 @@ from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError, StateError
 from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 NODE = 5
 BUFFER = 0x2100

@@ -41,7 +41,8 @@ from drivers.undo import undo_all
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 
 NODE = 5
 LIMITS = DriveLimits(-300.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)

@@ -12,11 +12,11 @@ from drivers.instruments.gauge import Gauge
 from drivers.instruments.replay import ReplayInstrument
 from drivers.instruments.umd_laser import BesideOptics, UmdLaser
 from hil.app.main import main
-from hil.app.sim import instrument_text
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.identity import instrument_identity
 from hil.axis.instrument import KINDS
 from hil.machine.instruments import build_instrument
+from hil.machine.simulated_file import instrument_text
 from sim_backends.clock import SimClock
 from sim_backends.gauge import GAUGE_KINDS
 

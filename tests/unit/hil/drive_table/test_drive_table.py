@@ -37,7 +37,8 @@ from hil.drive_table.change import (
 from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_faults import CanFault, CanFaultKind
+from sim_backends.canopen_faults import CanFault
+from sim_backends.faults import CanFaultKind
 from sim_backends.own_table import ARRAY, TableForm, error_domain
 
 FORMS = {"simulated_array": replace(ARRAY, points=20), "simulated_domain": error_domain(10.0)}

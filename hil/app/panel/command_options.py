@@ -1,0 +1,79 @@
+"""Options of `hil panel`."""
+
+from __future__ import annotations
+
+import argparse
+
+from hil.ui.terminal.options import Later
+
+EXAMPLE = """\
+example:
+  hil panel X.toml                                  prints the address; open it in a browser on this machine
+  hil panel X.toml Y.toml --port 8080 --lang de     several axes, German
+  hil panel X.toml Y.toml --probe MACHINE.toml      and the touch probe of the machine
+  hil panel X.toml --run creep.py                   and a measuring procedure of yours (hil help scripts)
+  hil panel X.toml --pace 10                        on the bench, jobs run ten times as fast as a machine (0: as fast as they go)
+  hil panel X.toml --bind 192.0.2.7 --cert server.crt --key server.key     for other machines: TLS, and a token for every browser
+
+  hil panel X.toml --name mill.example --token-file TOKEN     behind a proxy of this machine: a token too, made in TOKEN
+
+Only loopback is served unless --bind says otherwise. One browser at a time holds control; every browser can stop. Closing browsers
+stops nothing: a measurement goes on, and what it measured is kept. Ctrl-C here stops the axes and ends the server. The stop is a quick
+stop by the drive, which is no safety function. Needs the panel extra: pip install 'hil[panel]'.
+"""
+LANGUAGES = ("en", "de", "zh")
+
+
+def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+    """Add `hil panel`."""
+    parser = subparsers.add_parser(
+        "panel",
+        description="Serve the operator's screen of one or several axes.",
+        epilog=EXAMPLE,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("axes", metavar="AXIS.toml", nargs="+", help="an axis file each")
+    parser.add_argument("--probe", metavar="MACHINE.toml", help="the machine file of a touch probe, for its page")
+    parser.add_argument(
+        "--run",
+        dest="run_file",
+        metavar="PROCEDURE.py",
+        help="a measuring procedure of yours (hil run), for a page of its own",
+    )
+    parser.add_argument("--port", type=_port, default=0, help="TCP port (default 0: any free one, which is printed)")
+    parser.add_argument("--pace", type=_pace, default=1.0, help="of jobs on the bench against real time (default 1)")
+    parser.add_argument("--lang", choices=LANGUAGES, default="en", help="language of a new browser (default en)")
+    parser.add_argument(
+        "--bind", metavar="ADDRESS", default="127.0.0.1", help="address to listen on (default 127.0.0.1)"
+    )
+    parser.add_argument(
+        "--name",
+        metavar="HOST",
+        action="append",
+        default=[],
+        help="a host name browsers may use, who then need the token; repeat",
+    )
+    parser.add_argument("--cert", metavar="FILE", help="certificate, for an address that is not loopback")
+    parser.add_argument("--key", metavar="FILE", help="its private key")
+    parser.add_argument(
+        "--token-file",
+        metavar="F",
+        help="file with the access token, mode 600, made if it is not there (else one is made and printed)",
+    )
+    parser.set_defaults(run=Later("hil.app.panel.command"))
+
+
+def _port(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and int(text) < 65536):
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a port, 0 to 65535")
+    return int(text)
+
+
+def _pace(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = -1.0
+    if not 0.0 <= value <= 1e6:
+        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number >= 0")
+    return value
