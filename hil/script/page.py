@@ -1,22 +1,22 @@
-"""Page of a user's own procedure: its parameters, start and resume, and the error of each row as it is measured."""
+"""Page of a user's own procedure: its parameters, start, zero and resume, and the error of each row as it is measured."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import Any
 
 from nicegui import ui
 
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig
-from hil.records.journal import Campaign
 from hil.script.procedure import Procedure, naming_the_line
 from hil.script.procedure_file import parameters_of
-from hil.script.procedure_job import procedure_job
-from hil.ui.screen.pieces import Reading, draw_ready, draw_where, measured_checks
+from hil.script.procedure_job import procedure_job, resuming_job
+from hil.ui.screen.pieces import draw_ready, draw_where, lead, measured_checks
 from hil.ui.screen.plots import JobPlot
+from hil.ui.screen.unfinished import GoOn, draw_unfinished
 from hil.ui.screen.view import View
+from hil.ui.screen.zero_switches import ZeroSwitches
 
 
 def draw(view: View, procedure: type[Procedure]) -> None:
@@ -26,10 +26,12 @@ def draw(view: View, procedure: type[Procedure]) -> None:
         view.named(ui.label(view.t("procedure.no_instrument")).classes("hil-note"), "procedure.no_instrument")
         return
     messages = view.messages("procedure.messages")
+    ways: dict[str, GoOn] = {}
+    interrupted = draw_unfinished(view, "procedure", ways)
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
             where = draw_where(view, "procedure", lambda: view.desk.last(procedure.kind))
-            buttons = _draw_buttons(view, axis, procedure)
+            buttons = _draw_buttons(view, axis, procedure, ways, interrupted)
         with ui.element("div").classes("hil-main"), view.card("procedure.rows"):
             x, y = view.t("procedure.plot_x"), view.t("procedure.plot_y")
             plot = JobPlot(view, procedure.kind, x, y, name="procedure.plot", dots=True)
@@ -42,9 +44,15 @@ def draw(view: View, procedure: type[Procedure]) -> None:
     view.every(refresh)
 
 
-def _draw_buttons(view: View, axis: AxisConfig, procedure: type[Procedure]) -> Callable[[], None]:
-    """A field for each parameter, and the buttons."""
-    kind, fields = procedure.kind, {}
+def _draw_buttons(
+    view: View,
+    axis: AxisConfig,
+    procedure: type[Procedure],
+    ways: dict[str, GoOn],
+    interrupted: Callable[[], bool],
+) -> Callable[[], None]:
+    """A field for each parameter, start, and the way to go on with an interrupted run."""
+    fields = {}
     with view.card("procedure.parameters"):
         view.named(ui.label(procedure.__name__), "procedure.name")
         for one in parameters_of(procedure):
@@ -64,18 +72,23 @@ def _draw_buttons(view: View, axis: AxisConfig, procedure: type[Procedure]) -> C
         with naming_the_line(procedure, "__init__"):
             return procedure(**values)
 
-    async def start(*, resume: bool) -> None:
-        await view.ask_and_run(procedure_job(axis, given(), resume=resume))
+    async def start() -> None:
+        await zero.run(view.ask_and_run, procedure_job(axis, given(), zero=zero.said()))
 
-    broken_off = Reading(view, lambda: Campaign.unfinished(axis.store.directory, kind) is not None)
+    async def resume() -> None:
+        await zero.run(view.ask_and_run, resuming_job(axis, procedure, zero=zero.said()))
+
     ready = draw_ready(view, "procedure", *measured_checks(view))
     with ui.element("div").classes("hil-buttons"):
-        begin = view.button("procedure.start", partial(start, resume=False)).classes("hil-go")
-        go_on = view.button("procedure.resume", partial(start, resume=True))
+        begin = view.button("procedure.start", start)
+        zero = ZeroSwitches(view, "procedure", anew=True)
+
+    ways[procedure.kind] = GoOn("procedure.resume", resume, view.why_not)
 
     def refresh() -> None:
         ready()
         begin.allow(view.why_not())
-        go_on.allow(view.why_not() or ("" if broken_off.value else view.t("procedure.nothing_broken_off")))
+        zero.refresh()
+        lead(None if interrupted() else begin, [begin])
 
     return refresh

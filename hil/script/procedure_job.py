@@ -123,6 +123,20 @@ def procedure_job(
     return Job(kind, plan, work)
 
 
+def resuming_job(axis: AxisConfig, procedure: type[Procedure], *, zero: ZeroStatement = NO_STATEMENT) -> Job:
+    """Job that goes on with the last run of a procedure, with the parameters and the correction it was begun with.
+
+    Raises as `procedure_job`, and InputError where no run was broken off.
+    """
+    begun = Campaign.unfinished(axis.store.directory, procedure.kind)
+    if begun is None:
+        raise InputError(f"holds no interrupted {procedure.kind}", path=axis.store.directory)
+    given = begun.purpose["parameters"]
+    with naming_the_line(procedure, "__init__"):
+        made = procedure(**{name: tuple(one) if isinstance(one, list) else one for name, one in given.items()})
+    return procedure_job(axis, made, corrected="tables" in begun.purpose, resume=True, zero=zero)
+
+
 def _close(
     rows: Generator[Row],
     axis: Axis,

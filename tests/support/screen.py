@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from functools import partial
 from inspect import signature
 from typing import Any, cast
 
@@ -12,7 +13,8 @@ from nicegui.element import Element
 from nicegui.events import UploadEventArguments
 from nicegui.page import page
 
-from hil.app.unfinished import unfinished_work
+from hil.app.panel.pages import pages
+from hil.app.panel.unfinished import unfinished_work
 from hil.axis.axis_file import DriveAxis
 from hil.desk.desk import Desk
 from hil.desk.unfinished import UnfinishedWork
@@ -48,7 +50,7 @@ class Screen:
         draw: Draw,
         language: str = "en",
         token: str | None = None,
-        unfinished: Callable[[DriveAxis], tuple[UnfinishedWork, ...]] = unfinished_work,
+        unfinished: Callable[[DriveAxis], tuple[UnfinishedWork, ...]] = partial(unfinished_work, pages=pages(None)),
     ) -> None:
         self.desk, self.client = desk, Client(page("/"), request=None)
         tokens = {} if token is None else {desk.name: token}

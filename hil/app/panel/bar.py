@@ -11,7 +11,7 @@ from nicegui import ui
 from drivers.drive import DriveState
 from hil.app.panel.events import draw_events
 from hil.desk.desk import Desk
-from hil.desk.plan import OF_PROCEDURE, text_key
+from hil.desk.plan import text_key
 from hil.desk.progress import Phase, Progress
 from hil.desk.roles import Role
 from hil.desk.unfinished import UnfinishedWork
@@ -35,28 +35,21 @@ ICONS = {
 """A sign for each state, beside its colour and its word."""
 _STOPPED = (DriveState.QUICK_STOP,)
 _FAULT = (DriveState.FAULT, DriveState.FAULT_REACTION)
-_PAGES = {
-    "backlash": "backlash",
-    "lost motion": "lost_motion",
-    "circle": "lost_motion",
-    "probe": "probe",
-    "parameters": "parameters",
-    "close-loop": "diagnosis",
-    OF_PROCEDURE: "procedure",
-}
-"""First words of a job's kind, and its page; the others are jobs of the calibration."""
 
 
 @dataclass(frozen=True)
 class Page:
     """One page. name: in its address, and key of its title (`page.<name>` in the texts); draw: draws its elements.
 
-    several: shown with several axes only.
+    several: shown with several axes only; jobs: first words of the kinds of jobs that it starts, those of no page are jobs of the
+    calibration; resumes: kinds of campaigns that it goes on with.
     """
 
     name: str
     draw: Callable[[View], None]
     several: bool = False
+    jobs: tuple[str, ...] = ()
+    resumes: tuple[str, ...] = ()
 
 
 def axis_state(desk: Desk) -> str:
@@ -200,7 +193,7 @@ def draw_rail(view: View, here: Page, pages: Sequence[Page]) -> None:
     def refresh() -> None:
         job, left = view.desk.job(), {one.page for one in kept.value or ()}
         for name, mark in marks.items():
-            of_it = job is not None and _page_of(job) == name
+            of_it = job is not None and _page_of(job, pages) == name
             running = of_it and job is not None and job.running
             failed = of_it and job is not None and job.phase is Phase.FAILED and bool(view.desk.events.alarms())
             state = "running" if running else "fault" if failed else "wait" if name in left else ""
@@ -212,8 +205,8 @@ def draw_rail(view: View, here: Page, pages: Sequence[Page]) -> None:
     view.every(refresh)
 
 
-def _page_of(job: Progress) -> str:
-    return next((page for start, page in _PAGES.items() if job.kind.startswith(start)), "calibrate")
+def _page_of(job: Progress, pages: Sequence[Page]) -> str:
+    return next((page.name for page in pages if job.kind.startswith(page.jobs)), "calibrate")
 
 
 # -- control and role --------------------------------------------------------------------------------------------------

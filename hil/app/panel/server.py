@@ -7,6 +7,7 @@ import socket
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from html import escape
 from importlib.resources import files
 from queue import SimpleQueue
@@ -23,7 +24,7 @@ from hil.app.panel.bar import Page
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Form, Guard
-from hil.app.unfinished import unfinished_work
+from hil.app.panel.unfinished import unfinished_work
 from hil.desk.desk import Desk
 from hil.report.page import serve_reports
 from hil.ui.screen.browsers import COOKIE, Browsers
@@ -133,6 +134,7 @@ def application(desks: Sequence[Desk], language: str, all_pages: Sequence[Page])
     browsers = Browsers(language)
     by_name = {desk.name: desk for desk in desks}
     home = f"/axis/{desks[0].name}/{all_pages[0].name}"
+    unfinished = partial(unfinished_work, pages=all_pages)
 
     @app.post("/stop")
     async def stop(request: Request) -> JSONResponse:
@@ -155,7 +157,7 @@ def application(desks: Sequence[Desk], language: str, all_pages: Sequence[Page])
         page = next((one for one in all_pages if one.name == name), None)
         if axis not in by_name or page is None:
             return no_page(t, home)
-        draw_page(View(by_name[axis], desks, t, browser, client, unfinished_work), page, all_pages)
+        draw_page(View(by_name[axis], desks, t, browser, client, unfinished), page, all_pages)
         return None
 
     async def not_found(request: Request, _error: Exception) -> Response:

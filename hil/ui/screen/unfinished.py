@@ -8,6 +8,7 @@ from functools import partial
 
 from nicegui import ui
 
+from hil.desk.plan import text_key
 from hil.desk.unfinished import UnfinishedWork
 from hil.ui.screen.pieces import Reading
 from hil.ui.screen.view import Button, View
@@ -78,7 +79,7 @@ async def _discard(view: View, work: UnfinishedWork, kept: Reading[tuple[Unfinis
 
 def _words(view: View, work: UnfinishedWork) -> str:
     since = "" if work.since is None else work.since.strftime("%Y-%m-%d %H:%M")
-    return view.t(f"overview.left.{work.kind}", place=work.place, since=since)
+    return view.t(f"overview.left.{text_key(work.kind)}", place=work.place, since=since)
 
 
 def _interrupted(view: View) -> tuple[UnfinishedWork, ...]:

@@ -11,13 +11,14 @@ from support.bench_axis import lay_out
 from support.screen import Screen, inside
 
 from hil.app.panel.bar import draw_bar
-from hil.app.panel.pages import pages
+from hil.app.panel.pages import overview, pages
+from hil.app.panel.unfinished import unfinished_work
 from hil.axis.axis_file import load_axis
 from hil.desk.desk import Desk
 from hil.desk.progress import Phase
 from hil.script import page
 from hil.script.procedure_file import load_procedure
-from hil.script.procedure_job import Carried
+from hil.script.procedure_job import Carried, procedure_job
 
 Until = Callable[[Callable[[], bool], str], None]
 CREEP = Path(__file__).parents[4] / "hil/examples/creep.py"
@@ -35,16 +36,18 @@ def test_a_procedure_is_started_with_its_parameters_and_shows_its_rows(tmp_path:
             screen = Screen(desk, partial(page.draw, procedure=creep), "de", token=token)
             await screen.refreshes()
             assert screen.named("procedure.targets_mm").value == "100,20,100,20,100"
-            assert not screen.named("procedure.resume").enabled, "nothing was broken off"
+            assert not screen.named("procedure.left_over").visible, "nothing was broken off"
             screen.named("procedure.watch_s").value = "a while"
             await screen.presses("procedure.start")
             assert screen.told() == ["watch_s is 'a while', expected a number"]
             screen = Screen(desk, partial(page.draw, procedure=creep), "de", token=token)
             screen.named("procedure.targets_mm").value = "60,20"
             screen.named("procedure.watch_s").value = "1"
+            screen.named("procedure.instrument_zeroed").value = True
             started = screen.begins("procedure.start")
             asked = await screen.asked()
             assert any("20,000" in line and "60,000 mm" in line for line in asked), asked
+            assert any("Messgerät" in line and "genullt" in line for line in asked), asked
             assert screen.named("question.yes").text == "Auf X starten"
             screen.begins("question.yes")
             await asyncio.gather(*started)
@@ -68,3 +71,49 @@ def test_a_procedure_is_started_with_its_parameters_and_shows_its_rows(tmp_path:
         assert [round(y, 6) for _, y in drawn["run 1"]] == [
             round(float(error), 6) for error in carried.records.error_um[carried.records.run == 1]
         ]
+
+
+def test_a_run_that_was_broken_off_is_gone_on_with_as_it_was_begun(tmp_path: Path, until: Until) -> None:
+    file = tmp_path / "creep.py"
+    watched = "            for reading in"
+    broken = "            if run == 2 and not Path(__file__).with_name('go-on').exists():\n                raise OSError('is cut off')\n"
+    text = CREEP.read_text().replace(watched, broken + watched)
+    file.write_text(text.replace("import hil\n", "from pathlib import Path\n\nimport hil\n", 1))
+    creep = load_procedure(file)
+    axis = load_axis(lay_out(tmp_path))
+    with Desk(axis, pace=0.0) as desk:
+        until(lambda: desk.live.connected, "the axis is looked at")
+        token = desk.control.take("test")
+        desk.run(token, procedure_job(axis, creep(targets_mm=(60.0, 20.0), watch_s=1.0)))
+        until(lambda: not desk.job().running, "it is cut off")  # type: ignore[union-attr]
+        (tmp_path / "go-on").touch()
+        work_left = partial(unfinished_work, pages=pages(None, creep))
+        assert [(one.kind, one.page) for one in work_left(axis)] == [("run-creep", "procedure")]
+
+        async def work() -> None:
+            overview_shown = Screen(desk, overview.draw, token=token, unfinished=work_left)
+            await overview_shown.refreshes()
+            await overview_shown.refreshes()
+            assert overview_shown.named("overview.left_over").visible
+            screen = Screen(desk, partial(page.draw, procedure=creep), token=token, unfinished=work_left)
+            await screen.refreshes()
+            await screen.refreshes()
+            assert screen.named("procedure.targets_mm").value == "100,20,100,20,100"
+            card = list(screen.named("procedure.left_over").descendants())
+            assert screen.named("procedure.resume") in card
+            assert screen.named("procedure.discard.run-creep") in card
+            going_on = screen.begins("procedure.resume")
+            assert any("20.000" in line and "60.000 mm" in line for line in await screen.asked())
+            screen.begins("question.yes")
+            await asyncio.gather(*going_on)
+
+        inside(work)
+        until(lambda: not desk.job().running, "it is over")  # type: ignore[union-attr]
+        job = desk.last(creep.kind)
+        assert job is not None
+        assert job.error == ""
+        carried = job.result
+        assert isinstance(carried, Carried)
+        assert carried.campaign.name == "run-creep-001"
+        assert carried.records.target_mm.tolist() == [60.0, 60.0, 20.0, 20.0]
+        assert work_left(axis) == ()

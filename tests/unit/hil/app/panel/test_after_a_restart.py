@@ -14,8 +14,8 @@ from support.bench_axis import lay_out
 from support.screen import Draw, Screen, inside
 
 from drivers.errors import InputError
-from hil.app.panel.pages import overview
-from hil.app.unfinished import unfinished_work
+from hil.app.panel.pages import overview, pages
+from hil.app.panel.unfinished import unfinished_work
 from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
 from hil.backlash import job, page
 from hil.backlash.settings import NOTE
@@ -108,7 +108,7 @@ def test_every_kind_of_unfinished_work_is_on_one_card(tmp_path: Path) -> None:
         (folder / "campaign.json").write_text(json.dumps({"kind": kind, "axis": "X"}))
         (folder / "rows.csv").write_text("run\n")
     (axis.store.directory / NOTE).write_text("{}")
-    assert [one.kind for one in unfinished_work(axis)] == [*kinds, "settings"]
+    assert [one.kind for one in unfinished_work(axis, pages(None))] == [*kinds, "settings"]
 
     async def work() -> None:
         screen = Screen(Desk(axis), overview.draw)
@@ -194,13 +194,13 @@ def test_what_is_discarded_is_named_first_and_not_offered_again(tmp_path: Path) 
         lines = await screen.asked()
         assert "Calibration" in lines[0]
         assert "2 readings" in lines[0]
-        assert unfinished_work(axis)  # nothing happens by the question alone
+        assert unfinished_work(axis, pages(None))  # nothing happens by the question alone
         assert screen.named("question.yes").text == "Discard what was measured"
         screen.begins("question.yes")
         await asyncio.gather(*asking)
 
     inside(work)
-    assert unfinished_work(axis) == ()
+    assert unfinished_work(axis, pages(None)) == ()
     assert sorted(path.name for path in campaign.directory.iterdir()) == sorted([*before, "discarded"])
     assert [one.what for one in desk.events.entries()] == ["discarded"]
     with pytest.raises(InputError, match="was discarded"):
@@ -213,9 +213,9 @@ def test_only_who_holds_control_discards_and_nothing_that_is_to_be_put_back(tmp_
     broken_off(axis)
     (axis.store.directory / NOTE).write_text("{}")
     desk = Desk(axis)
-    calibration, settings = unfinished_work(axis)
+    calibration, settings = unfinished_work(axis, pages(None))
     with pytest.raises(NotInControlError):
         desk.discard("guessed", calibration)
     with pytest.raises(InputError, match="cannot be discarded"):
         desk.discard(desk.control.take("test"), settings)
-    assert unfinished_work(axis) == (calibration, settings)
+    assert unfinished_work(axis, pages(None)) == (calibration, settings)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -11,8 +12,8 @@ import pytest
 from support.bench_axis import lay_out
 from support.screen import Screen, inside, is_visible
 
-from hil.app.panel.pages import overview
-from hil.app.unfinished import unfinished_work
+from hil.app.panel.pages import overview, pages
+from hil.app.panel.unfinished import unfinished_work
 from hil.axis.axis_file import DriveAxis, load_axis
 from hil.desk.desk import Desk
 from hil.desk.job import Job, Workplace
@@ -79,7 +80,8 @@ def test_the_folder_is_read_beside_the_loop_and_after_a_job(
 
         return seen
 
-    unfinished = noted(unfinished_work) if reads == "unfinished_work" else unfinished_work
+    work_left = partial(unfinished_work, pages=pages(None))
+    unfinished = noted(work_left) if reads == "unfinished_work" else work_left
     if reads == "kept_lost_motion":
         monkeypatch.setattr(lost_motion, reads, noted(getattr(lost_motion, reads)))
 
