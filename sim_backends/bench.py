@@ -39,6 +39,8 @@ HOMING_SLOW_REV_S = 0.5
 """Homing velocity away from the switch, to the edge and the index pulse, motor revolutions per second."""
 SWITCH_SPREAD_REV = 1e-4
 """Standard deviation of the switching point of a limit switch: 1 µm with the usual screw, as stated for precision switches."""
+BESIDE_TRAVEL_MM = 2.0
+"""Travel of a simulated axis beyond either end of its length, mm."""
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,9 @@ class BenchParameters:
 
     def __post_init__(self) -> None:
         end_mm = self.servo.positive_limit_counts / self.servo.counts_per_rev * self.plant.screw.lead_mm
-        if end_mm < self.plant.length_mm:
+        if end_mm < (travel_mm := self.plant.begin_mm + self.plant.length_mm):
             raise InputError(
-                f"bench: positive limit switch at {end_mm:g} mm, expected beyond the travel of {self.plant.length_mm:g} mm"
+                f"bench: positive limit switch at {end_mm:g} mm, expected beyond the travel, to {travel_mm:g} mm"
             )
 
     @property
@@ -76,10 +78,10 @@ class BenchParameters:
     @property
     def limits(self) -> DriveLimits:
         """The axis's travel and speeds, for a drive on this bench."""
-        lead_mm = self.plant.screw.lead_mm
+        plant, lead_mm = self.plant, self.plant.screw.lead_mm
         return DriveLimits(
-            travel_min_mm=-2.0,
-            travel_max_mm=self.plant.length_mm + 2.0,
+            travel_min_mm=plant.begin_mm - BESIDE_TRAVEL_MM,
+            travel_max_mm=plant.begin_mm + plant.length_mm + BESIDE_TRAVEL_MM,
             max_velocity_mm_s=min(250.0, self.servo.max_velocity_rev_s * lead_mm),
             max_acceleration_mm_s2=self.servo.max_acceleration_rev_s2 * lead_mm,
         )

@@ -5,8 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from drivers.errors import InputError
-from sim_backends.bench import SWITCH_SPREAD_REV, BenchParameters
+from sim_backends.bench import BESIDE_TRAVEL_MM, SWITCH_SPREAD_REV, BenchParameters
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.hysteresis import Backlash
 from sim_backends.plant.parameters import PlantParameters
@@ -15,8 +14,6 @@ from sim_backends.plant.shapes import Points, SmoothShape
 from sim_backends.plant.switches import switch_on
 from sim_backends.servo import ServoParameters
 
-BESIDE_TRAVEL_MM = 2.0
-"""Travel of a simulated axis beyond either end of its length, mm (`BenchParameters.limits`)."""
 BESIDE_SWITCH_REV, BESIDE_STOP_REV = 0.5, 1.0
 """From the end of the length to the limit switch and to the hard stop, motor revolutions."""
 
@@ -39,29 +36,28 @@ class Likeness:
 
 
 def alike(found: Likeness) -> BenchParameters:
-    """A bench with these errors. Raises InputError for a travel that a simulated axis, which begins at 0, cannot have."""
-    low_mm, high_mm = found.travel_mm
-    length_mm = high_mm - BESIDE_TRAVEL_MM
-    if low_mm < -BESIDE_TRAVEL_MM or length_mm <= 0.0:
-        raise InputError(
-            f"an axis that travels from {low_mm:g} to {high_mm:g} mm is not simulated, expected from {-BESIDE_TRAVEL_MM:g} mm or more"
-        )
+    """A bench with these errors. Its travel holds that of the machine, and 0, where it is switched on."""
+    begin_mm = min(0.0, found.travel_mm[0] + BESIDE_TRAVEL_MM)
+    end_mm = max(0.0, found.travel_mm[1] - BESIDE_TRAVEL_MM)
     servo = ServoParameters()
-    counts, end_rev = servo.counts_per_rev, length_mm / found.lead_mm
+    counts, begin_rev, end_rev = servo.counts_per_rev, begin_mm / found.lead_mm, end_mm / found.lead_mm
     servo = replace(
         servo,
         switch_spread_counts=SWITCH_SPREAD_REV * counts,
         max_velocity_rev_s=found.max_velocity_mm_s / found.lead_mm,
         max_acceleration_rev_s2=found.max_acceleration_mm_s2 / found.lead_mm,
+        negative_limit_counts=(begin_rev - BESIDE_SWITCH_REV) * counts,
+        negative_stop_counts=(begin_rev - BESIDE_STOP_REV) * counts,
+        home_switch_counts=servo.home_switch_counts + begin_rev * counts,
         positive_limit_counts=(end_rev + BESIDE_SWITCH_REV) * counts,
         positive_stop_counts=(end_rev + BESIDE_STOP_REV) * counts,
     )
-    return BenchParameters(plant=_plant(found, length_mm), servo=servo)
+    return BenchParameters(plant=_plant(found, begin_mm, end_mm - begin_mm), servo=servo)
 
 
-def _plant(found: Likeness, length_mm: float) -> PlantParameters:
+def _plant(found: Likeness, begin_mm: float, length_mm: float) -> PlantParameters:
     """The axis with the effects, and with what they leave of the measured errors."""
-    axis = FeedAxis(PlantParameters(length_mm=length_mm, screw=Screw(found.lead_mm)))
+    axis = FeedAxis(PlantParameters(length_mm=length_mm, begin_mm=begin_mm, screw=Screw(found.lead_mm)))
     for effect, size_um in found.effects:
         switch_on(axis, effect, size_um)
     plant, grows_um = axis.parameters, axis.parameters.lost_motion.amount_um
@@ -70,5 +66,5 @@ def _plant(found: Likeness, length_mm: float) -> PlantParameters:
     return replace(
         plant,
         screw=replace(plant.screw, pitch_um=SmoothShape(points=error_um)),
-        backlash=Backlash(along_um=reversal_um, middle_mm=length_mm / 2, half_travel_mm=length_mm / 2),
+        backlash=Backlash(along_um=reversal_um, middle_mm=begin_mm + length_mm / 2, half_travel_mm=length_mm / 2),
     )

@@ -36,9 +36,13 @@ from sim_backends.serve import Pace, Shuttle, run_in_real_time
 def _parameters(args: argparse.Namespace, faults: Faults) -> BenchParameters:
     if not 1.0 <= args.rate <= 2000.0:
         raise InputError(f"--rate is {args.rate:g}, expected 1 to 2000 readings per second")
-    if args.seed < 0:
+    if args.seed is not None and args.seed < 0:
         raise InputError(f"--seed is {args.seed}, expected a whole number >= 0")
-    parameters = known_bench(args.machine, args.seed) if args.like is None else alike(read_likeness(args.like))
+    if args.seed is not None and args.like is not None:
+        raise InputError(
+            "--seed is which machine of --machine, expected none beside --like, whose machine was measured"
+        )
+    parameters = known_bench(args.machine, args.seed or 0) if args.like is None else alike(read_likeness(args.like))
     laser = replace(parameters.laser, rate_hz=args.rate)
     gauge = None if args.kind == "umd" else GaugeParameters(args.kind, rate_hz=args.rate)
     homing_method = getattr(args, "homing", parameters.homing_method)  # of a drive on a wire only
@@ -150,23 +154,22 @@ def _run(
     """Print the interfaces as JSON, run until a signal or the time limit, print the final state of the axis as JSON."""
     with _until_signal() as keep_running:
         laser = {"kind": args.kind, "port": bench.laser_path} if bench.has_instrument else None
+        if args.like is not None and drive is not None:
+            drive = {**drive, "like": str(args.like.resolve())}
         if getattr(args, "axis_file", None):
             instrument = instrument_text(args.kind, bench.laser_path)
             name = "X" if args.like is None else f"{args.like.resolve().name.removesuffix('-campaign')}-like"
             text = axis_text(bench.parameters, drive or {}, instrument, counts_per_rev, name)
             replace_file(args.axis_file, text.encode())
-        machine = {"kind": args.machine, "seed": args.seed, "length_mm": bench.parameters.plant.length_mm}
+        machine: dict[str, Any] = {"kind": args.machine, "seed": args.seed or 0}
         if args.like is not None:
-            machine = {
-                **machine,
-                "kind": "likeness",
-                "like": str(args.like),
-                "effects": dict(read_likeness(args.like).effects),
-            }
+            effects = dict(read_likeness(args.like).effects)
+            machine = {"kind": "likeness", "like": str(args.like), "effects": effects}
             print(
                 f"hil: a likeness of the axis in {args.like} to rehearse on; it proves nothing of that axis",
                 file=sys.stderr,
             )
+        machine["length_mm"] = bench.parameters.plant.length_mm
         print(json.dumps({"machine": machine, "drive": drive, "laser": laser}), flush=True)
         end = None if args.seconds is None else pace.wall.deadline(args.seconds)
         run_in_real_time(

@@ -148,7 +148,7 @@ def _add_machine(parser: argparse.ArgumentParser) -> None:
         help="in place of --machine, one with the errors that were measured of a real axis: folder of its campaigns; a likeness to"
         " rehearse on, no proof",
     )
-    group.add_argument("--seed", type=int, default=0, help="which of those machines (default 0)")
+    group.add_argument("--seed", type=int, help="which of the machines of that name (default 0)")
     group.add_argument(
         "--kind",
         choices=INSTRUMENT_KINDS,

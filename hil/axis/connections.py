@@ -22,8 +22,8 @@ GUARD_S = 2.0
 _MAPS = ("cia402_over_modbus", "vendor_style")
 _KEYS = {
     "canopen": "interface channel bitrate node_id axis sdo_timeout_s sample_timeout_s heartbeat_s guard_s eds homing correction_table"
-    " velocity_unit acceleration_unit modes simulated",
-    "modbus": "register_map url unit baud simulated",
+    " velocity_unit acceleration_unit modes simulated like",
+    "modbus": "register_map url unit baud simulated like",
     "bench": "machine seed like face homing correction_table profile velocity_unit acceleration_unit modes",
     "bench over Modbus": "machine seed like face register_map",
 }
@@ -125,8 +125,11 @@ def read_drive(document: Document) -> DriveConfig:
     for key, shipped in (("register_map", _MAPS), ("correction_table", BENCH_TABLES)):
         if backend == "bench" and key in given and getattr(config, key) not in shipped:
             raise document.fail(f"drive.{key}", f"is {shown(given[key])}, expected {either(shipped)}")
-    if "machine" in given and config.like is not None:
-        raise document.fail("drive.machine", "is not simulated beside like, expected one of the two")
+    for key in ("machine", "seed"):
+        if key in given and config.like is not None:
+            raise document.fail(f"drive.{key}", "is not simulated beside like, expected one of the two")
+    if config.like is not None and not config.is_simulated:
+        raise document.fail("drive.like", "is of a simulated machine, and this one is not said to be simulated")
     if config.profile and config.face != "canopen":
         raise document.fail("drive.profile", f"is for face canopen, the face is {config.face}")
     return config

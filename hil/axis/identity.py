@@ -7,32 +7,26 @@ from pathlib import Path
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
 
 
-def bench_machine(axis: DriveAxis) -> str:
-    """The simulated machine of the bench."""
-    like = axis.drive.like
-    return f"machine {axis.drive.machine}" if like is None else f"a likeness of {like.name}, which proves nothing of it"
-
-
 def drive_in_words(axis: DriveAxis) -> str:
-    """The drive as text."""
-    if axis.drive.backend == "bench":
-        return f"bench, {bench_machine(axis)}, as {axis.drive.face}"
+    """The drive as text, and what machine it moves where that is simulated."""
+    drive = axis.drive
+    like = "" if drive.like is None else f", a likeness of {drive.like.name}, which proves nothing of it"
+    if drive.backend == "bench":
+        return f"simulated, as {drive.face}{like or f', machine {drive.machine}, seed {drive.seed}'}"
     where = {
-        "canopen": f"CANopen node {axis.drive.node_id} on {axis.drive.interface} {axis.drive.channel}",
-        "modbus": f"Modbus unit {axis.drive.node_id} on {axis.drive.url}, {axis.drive.register_map}",
+        "canopen": f"CANopen node {drive.node_id} on {drive.interface} {drive.channel}",
+        "modbus": f"Modbus unit {drive.unit} on {drive.url}, {drive.register_map}",
     }
-    return where[axis.drive.backend] + (", simulated" if axis.drive.simulated else "")
+    return where[drive.backend] + (", simulated" if drive.simulated else "") + like
 
 
 def identity(axis: AxisConfig) -> dict[str, str]:
     """The set-up that a repetition needs, name -> text."""
-    simulated = f"simulated CiA-402 drive on a virtual CAN bus, {bench_machine(axis)}, seed {axis.drive.seed}"
-    drive = simulated if axis.drive.backend == "bench" else drive_in_words(axis)
     how = axis.measurement
     return {
         "Axis": axis.name,
         "Travel": f"{axis.limits.travel_min_mm:g} to {axis.limits.travel_max_mm:g} mm",
-        "Drive": drive,
+        "Drive": drive_in_words(axis),
         **instrument_identity(axis.instrument),
         "Feed between targets": f"{how.velocity_mm_s:g} mm/s",
         "At each target": f"{how.dwell_s:g} s dwell, {how.reading_s:g} s averaged",

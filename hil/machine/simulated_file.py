@@ -36,7 +36,7 @@ def axis_text(
         scaling = replace(scaling, encoder_counts_per_motor_rev=counts_per_rev)
     told = drive if drive.get("backend") == "bench" else drive | {"simulated": True}
     keys = "\n".join(f"{name} = {_toml(value)}" for name, value in told.items())
-    first, last = 0.01 * parameters.plant.length_mm, 0.99 * parameters.plant.length_mm
+    first, last = (parameters.plant.begin_mm + share * parameters.plant.length_mm for share in (0.01, 0.99))
     return f"""\
 # The machine of a running `hil sim`.
 

@@ -44,12 +44,14 @@ class SensorParameters:
 class PlantParameters:
     """The true properties of one feed axis; lengths mm, errors µm (see the parts).
 
+    begin_mm: the near end of the length; the axis's zero, from which errors and expansion are counted, stays at 0
     drive_train: springs and friction between motor and table, in addition to `backlash`, `lost_motion` and `friction` (which
     describe the same more coarsely, and are quicker to simulate); None: a rigid one.
     """
 
     seed: int = 1
     length_mm: float = 500.0
+    begin_mm: float = 0.0
     screw: Screw = field(default_factory=Screw)
     backlash: Backlash = field(default_factory=Backlash)
     lost_motion: LostMotion = field(default_factory=LostMotion)

@@ -51,7 +51,9 @@ def _pitch_shape(axis: FeedAxis, size_um: float) -> PlantParameters:
 def _local_wear(axis: FeedAxis, size_um: float) -> PlantParameters:
     """Size: depth of a zone around 0.62 of the length, 8 % of it wide."""
     p = axis.parameters
-    return replace(p, screw=replace(p.screw, wear=LocalWear(size_um, 0.62 * p.length_mm, 0.04 * p.length_mm)))
+    return replace(
+        p, screw=replace(p.screw, wear=LocalWear(size_um, p.begin_mm + 0.62 * p.length_mm, 0.04 * p.length_mm))
+    )
 
 
 def _backlash(axis: FeedAxis, size_um: float) -> PlantParameters:
@@ -64,11 +66,10 @@ def _backlash_position(axis: FeedAxis, size_um: float) -> PlantParameters:
     """Size: difference between the far end and the middle (and between the middle and the near end)."""
     p = axis.parameters
     amount = max(p.backlash.amount_um, size_um)
-    middle = p.length_mm / 2.0
+    half = p.length_mm / 2.0
     slope = p.backlash.slope + size_um / amount
-    return replace(
-        p, backlash=replace(p.backlash, amount_um=amount, slope=slope, middle_mm=middle, half_travel_mm=middle)
-    )
+    along = replace(p.backlash, amount_um=amount, slope=slope, middle_mm=p.begin_mm + half, half_travel_mm=half)
+    return replace(p, backlash=along)
 
 
 def _lost_motion(axis: FeedAxis, size_um: float) -> PlantParameters:

@@ -23,6 +23,8 @@ from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import View
 
 Draw = Callable[[View], object]
+WITHOUT_PROCEDURE = partial(unfinished_work, pages=pages(None))
+"""Unfinished work of a screen that was started without a procedure of a user."""
 
 
 def begun_by(element: Element, event: str = "") -> set[asyncio.Task[Any]]:
@@ -50,7 +52,7 @@ class Screen:
         draw: Draw,
         language: str = "en",
         token: str | None = None,
-        unfinished: Callable[[DriveAxis], tuple[UnfinishedWork, ...]] = partial(unfinished_work, pages=pages(None)),
+        unfinished: Callable[[DriveAxis], tuple[UnfinishedWork, ...]] = WITHOUT_PROCEDURE,
     ) -> None:
         self.desk, self.client = desk, Client(page("/"), request=None)
         tokens = {} if token is None else {desk.name: token}

@@ -225,7 +225,7 @@ def test_the_bench_says_that_it_forgets_what_was_written_and_a_drive_does_not(
 
 def test_a_drive_on_modbus_is_named_by_its_unit_in_a_report(tmp_path: Path) -> None:
     axis = load_axis(lay_out(tmp_path / "axis"))
-    modbus = replace(axis.drive, backend="modbus", node_id=5, url="tcp://h:502", register_map="leadshine_el7")
+    modbus = replace(axis.drive, backend="modbus", unit=5, url="tcp://h:502", register_map="leadshine_el7")
     said = identity(replace(axis, drive=modbus))["Drive"]
     assert said == "Modbus unit 5 on tcp://h:502, leadshine_el7"
 

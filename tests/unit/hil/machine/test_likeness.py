@@ -14,7 +14,9 @@ from support import bench_axis
 import hil
 from drivers.errors import InputError
 from hil.app.main import main
-from hil.records.rows import Records
+from hil.axis.axis_file import load_axis
+from hil.axis.identity import identity
+from hil.records.rows import Records, read_csv
 
 NOISES = 5.0
 """Largest difference of two means of two runs, in standard deviations of a row: 3.5 of that difference, for ten of them."""
@@ -40,7 +42,7 @@ def alike(source: Path) -> Path:
 
 def rehearsal(path: Path, source: Path) -> str:
     """The text of an axis file with the machine of its bench replaced."""
-    return path.read_text().replace('machine = "geometric"', f'like = "{source}"')
+    return path.read_text().replace('machine = "geometric"\nseed = 5', f'like = "{source}"')
 
 
 def simulated(source: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
@@ -96,6 +98,8 @@ def test_it_says_that_it_is_a_likeness(source: tuple[Path, Records], capsys: pyt
     assert json.loads(said.out.splitlines()[0])["machine"]["kind"] == "likeness"
     assert "proves nothing of that axis" in said.err
     assert 'name = "X-like"' in written.read_text(), "its rows never come into the real axis's folder"
+    assert load_axis(written).purpose("calibrate")["drive"]["like"] == str(folder), "a likeness of it is refused"
+    assert "a likeness of X-campaign, which proves nothing of it" in identity(load_axis(written))["Drive"]
     assert main([*words[:-3], str(folder.parent), "--for", "0.05"]) == 2
     assert "holds no measure.csv" in capsys.readouterr().err
 
@@ -182,7 +186,43 @@ def test_a_machine_and_a_likeness_together_are_refused(
     with pytest.raises(SystemExit, match="2"):
         main(words)
     assert "not allowed with argument" in capsys.readouterr().err
+    words[6:8] = ["--seed", "3"]
+    assert main(words) == 2
+    assert "--seed is which machine of --machine" in capsys.readouterr().err
+    text = alike(folder).read_text()
+    for key, value in (("machine", '"worn"'), ("seed", "3")):
+        path = folder.parents[1] / "likeness/both.toml"
+        path.write_text(text.replace("like =", f"{key} = {value}\nlike ="))
+        with pytest.raises(InputError, match=rf"\[drive\] {key}.*beside like"), hil.open(path):
+            pass
+
+
+def test_an_axis_whose_zero_is_within_its_travel_has_a_likeness(
+    tmp_path: Path, source: tuple[Path, Records], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The measured axis moved by half its travel: the same errors, at the same places of the machine."""
+    folder, measured = source
+    marker, rows = folder / "calibrate-001/campaign.json", folder / "calibrate-001/measure.csv"
+    purpose = json.loads(marker.read_text())
+    purpose["limits"] |= {"travel_min_mm": -252.0, "travel_max_mm": 252.0}
+    marker.write_text(json.dumps(purpose))
+    moved = read_csv(rows)
+    columns = {
+        "run": moved.run,
+        "direction": moved.direction,
+        "target_mm": moved.target_mm - 250.0,
+        "measured_mm": moved.measured_mm - 250.0,
+    }
+    lines = [",".join(columns), *(",".join(f"{one:.9g}" for one in row) for row in zip(*columns.values(), strict=True))]
+    rows.write_text("\n".join(lines) + "\n")
+    assert simulated(folder, capsys)["length_mm"] == 500.0
     path = alike(folder)
-    path.write_text(path.read_text().replace("like =", 'machine = "worn"\nlike ='))
-    with pytest.raises(InputError, match=r"\[drive\] machine.*beside like"), hil.open(path):
-        pass
+    text = path.read_text()
+    for here, there in (("-2.0", "-252.0"), ("502.0", "252.0"), ("20.0", "-230.0"), ("260.0", "10.0")):
+        text = text.replace(f"_mm = {here}\n", f"_mm = {there}\n")
+    path.write_text(text)
+    with hil.open(path) as axis:
+        again = axis.calibrate().raw.before
+    allowed_um = NOISES * max(noise_um(measured), noise_um(again))
+    assert min(again.target_mm) < -200.0
+    assert means_um(again) == pytest.approx(means_um(measured), abs=allowed_um)

@@ -74,10 +74,10 @@ def test_a_procedure_is_started_with_its_parameters_and_shows_its_rows(tmp_path:
 
 
 def test_a_run_that_was_broken_off_is_gone_on_with_as_it_was_begun(tmp_path: Path, until: Until) -> None:
-    file = tmp_path / "creep.py"
-    watched = "            for reading in"
-    broken = "            if run == 2 and not Path(__file__).with_name('go-on').exists():\n                raise OSError('is cut off')\n"
-    text = CREEP.read_text().replace(watched, broken + watched)
+    file, watched = tmp_path / "creep.py", "            for reading in"
+    until_told = "            if run == 2 and not Path(__file__).with_name('go-on').exists():\n"
+    broken_off = f"{until_told}                raise OSError('is cut off')\n{watched}"
+    text = CREEP.read_text().replace(watched, broken_off)
     file.write_text(text.replace("import hil\n", "from pathlib import Path\n\nimport hil\n", 1))
     creep = load_procedure(file)
     axis = load_axis(lay_out(tmp_path))
