@@ -5,8 +5,6 @@ from __future__ import annotations
 import pytest
 from hostile.kills import HOMING, POWER, WAYS, Break, breaks, run
 
-pytestmark = pytest.mark.outside
-
 FEW = [
     Break("verify", method, way, share, number)
     for number, (method, way, share) in enumerate(
@@ -15,11 +13,13 @@ FEW = [
 ]
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize("case", [pytest.param(case, id=str(case)) for case in FEW])
 def test_resumed_or_refused_and_no_row_in_another_frame(case: Break) -> None:
     assert run(case).complaints == []
 
 
+@pytest.mark.outside
 @pytest.mark.parametrize(
     "case", [pytest.param(case, id=str(case)) for case in breaks(1, ("calibrate", "lost-motion", "close-loop"))]
 )
