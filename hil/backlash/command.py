@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import Any
 
 from drivers.drive import ServoDrive
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
@@ -22,7 +23,7 @@ from hil.backlash.result import NAMES
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.machine.wiring import connected_drive
 from hil.ui.terminal.axis_options import open_store, tell_bench
-from hil.ui.terminal.output import finish, print_facts, print_table, times
+from hil.ui.terminal.output import finish, print_facts, print_table, times, write_json
 from hil.ui.terminal.progress import telling_notes, terminal_progress
 
 
@@ -39,14 +40,23 @@ def run(args: argparse.Namespace) -> int:
         store = open_store(args, axis, writing=True)
     with connected_drive(axis) as drive, telling_notes(drive):
         if args.restore:
-            return _restore(axis, how, drive)
-        if args.write_um is not None:
+            done = _restore(axis, how, drive)
+        elif args.write_um is not None:
             kept = write_amount(axis, how, drive, args.write_um, store)
             where = how.parameter or f"the sealed tables {axis.tables_path}"
             print(f"written: {where} = {kept:g}, for {args.write_um:g} µm as typed; not yet proven (hil verify)")
-            return 0
-        with terminal_progress() as listener:
-            found = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
+            done = {"amount_um": args.write_um, "written": {how.parameter or str(axis.tables_path): kept}}
+        else:
+            with terminal_progress() as listener:
+                found = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
+            return _measured(args, axis, found)
+    if args.json:
+        write_json(args.json, {"axis": axis.name, **done})
+    return 0
+
+
+def _measured(args: argparse.Namespace, axis: DriveAxis, found: BacklashResult) -> int:
+    """Say a measurement; its exit status."""
     _print(found)
     if args.laser is not None and found.lost_motion_um:
         scale = args.laser / found.lost_motion_um
@@ -54,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
             f"by the instrument {args.laser:g} µm, by torque {found.lost_motion_um:.2f} µm: [backlash] scale = {scale:.4f}"
             f" makes them agree; it holds for this axis as it is now"
         )
-    if args.write and how.parameter is not None:
+    if args.write and found.how.parameter is not None:
         tell_bench(axis)
     return finish(args, found)
 
@@ -63,17 +73,18 @@ def _say(text: str) -> None:
     print(f"hil: {' '.join(text.split())}", file=sys.stderr)
 
 
-def _restore(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> int:
+def _restore(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> dict[str, Any]:
+    """Put back, and say so; what was put back, and what the next --restore puts back, by name, None where there is nothing."""
     found = put_back(axis, how, drive)
     if found is None:
         print(f"nothing to put back: the last measurement left everything as it was, and {NEVER_WRITTEN}")
-        return 0
+        return {"restored": None, "restorable": None}
     print("put back: " + ", ".join(f"{name} = {value:g}" for name, value in found.values.items()))
     earlier = original_values(axis)
     if earlier is not None:
         values = ", ".join(f"{name} = {value:g}" for name, value in earlier.items())
         print(f"a written amount is still in force; before it there was {values}: --restore once more puts that back")
-    return 0
+    return {"restored": found.values, "restorable": earlier}
 
 
 def _print_plan(axis: DriveAxis, how: BacklashConfig, args: argparse.Namespace) -> None:

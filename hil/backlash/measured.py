@@ -15,7 +15,7 @@ from hil.backlash.result import NAMES, TorqueBacklash, reversal_json
 from hil.backlash.settings import NoSetting
 from hil.desk.result import Result
 from hil.desk.rows import Rows
-from hil.ui.report.markup import number
+from hil.ui.report.markup import definitions, header, number, page, table, text
 
 HEAD = ("run", "four-sample, µm", "fitted, µm", "± U95, µm", "break-away, µm", "its torque, %", "sliding, %")
 
@@ -161,6 +161,21 @@ class BacklashResult(Result):
         }
 
     def _page(self) -> str:
-        from hil.backlash.report import render_backlash  # noqa: PLC0415  (plots are slow to import)
+        from hil.backlash.report import FOOTER, drawn_run, tiles  # noqa: PLC0415  (plots are slow to import)
 
-        return render_backlash(self)
+        title, identity, reversals = (
+            f"Lost motion of axis {self.axis.name} by torque",
+            self.identity(),
+            self.raw.reversals,
+        )
+        parts = [
+            header(title, identity["Measured"]),
+            tiles(self.raw),
+            f'<p class="callout">{text(self.verdict)}</p>' if self.verdict else "",
+            "<h2>Identity</h2>" + definitions(identity),
+            *(drawn_run(reversals, run) for run in sorted({one.run for one in reversals})),
+            "<h2>Every reversal</h2>" + table(HEAD, self.table(), css="numbers"),
+            "<h2>Parameters of the drive</h2>" + definitions(self.parameters()),
+            FOOTER,
+        ]
+        return page(title, parts)

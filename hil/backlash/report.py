@@ -1,6 +1,4 @@
-"""The report of lost motion by torque: torque over travel of both reversals with the estimates, every run, and the
-mean.
-"""
+"""Parts of the report of lost motion by torque: the mean, and each run with torque over travel and the estimates."""
 
 from __future__ import annotations
 
@@ -12,27 +10,16 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from hil.backlash.measured import HEAD, BacklashResult
 from hil.backlash.result import NAMES, Reversal, TorqueBacklash
 from hil.ui.report import markup
-from hil.ui.report.markup import header, page, tile
+from hil.ui.report.markup import tile
 from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
-
-def render_backlash(found: BacklashResult) -> str:
-    """The whole page as HTML."""
-    title, identity = f"Lost motion of axis {found.axis.name} by torque", found.identity()
-    parts = [
-        header(title, identity["Measured"]),
-        _tiles(found.raw),
-        f'<p class="callout">{markup.text(found.verdict)}</p>' if found.verdict else "",
-        "<h2>Identity</h2>" + markup.definitions(identity),
-        *(_run(found.raw.reversals, run) for run in sorted({one.run for one in found.raw.reversals})),
-        "<h2>Every reversal</h2>" + markup.table(HEAD, found.table(), css="numbers"),
-        "<h2>Parameters of the drive</h2>" + markup.definitions(found.parameters()),
-        _footer(),
-    ]
-    return page(title, parts)
+FOOTER = (
+    "<footer>Four-sample: the first step n−1 with |T(n−2)| ≥ |T(n−3)|, |T(n−1)| ≥ |T(n−2)| and |T(n)| &lt; |T(n−1)|, one reading a"
+    " step (CN103561904). Fitted: where the rising flank meets the level of sliding. What the guideway gives before it slides"
+    " cannot be told from wind-up by torque; the uncertainty has a share for it. The data are inside this file as JSON.</footer>"
+)
 
 
 def torque_plot(reversals: Sequence[Reversal], theme: Theme) -> Figure:
@@ -87,19 +74,21 @@ def _found(one: Reversal) -> str:
     return "no wind-up that ends in sliding" if one.fitted is None else f"{one.fitted.lost_motion_um:.1f} µm"
 
 
-def _tiles(found: TorqueBacklash) -> str:
+def tiles(found: TorqueBacklash) -> str:
+    """The mean by both estimates, as HTML."""
     fitted, counts = found.fitted, {"fitted": "", "four-sample": ""} | {found.method: "this one counts"}
     mean, spread = (None, None) if fitted is None else (fitted.mean_um, fitted.u95_um)
-    tiles = [
+    shown = [
         tile("Lost motion, fitted", markup.number(mean, 1), "µm", counts["fitted"]),
         tile("± with 95 % confidence", markup.number(spread, 1), "µm"),
         tile("By the four-sample rule", markup.number(found.by_rule_um, 1), "µm", counts["four-sample"]),
         *(tile(NAMES[each], markup.number(value, 1), "µm") for each, value in found.by_direction_um.items()),
     ]
-    return '<div class="tiles">' + "".join(tiles) + "</div>"
+    return '<div class="tiles">' + "".join(shown) + "</div>"
 
 
-def _run(reversals: Sequence[Reversal], run: int) -> str:
+def drawn_run(reversals: Sequence[Reversal], run: int) -> str:
+    """The reversals of one run as HTML: plot, and every reading."""
     mine = [one for one in reversals if one.run == run]
     svg = inline_svg(torque_plot(mine, PAGE), f"run{run}", f"Torque over travel through both reversals, run {run}")
     caption = (
@@ -118,11 +107,3 @@ def _data(one: Reversal) -> str:
     }
     which = "plus-minus" if trace.direction < 0 else "minus-plus"
     return markup.data_table(f"data-run-{one.run}-{which}", f"{NAMES[trace.direction]}, every reading", columns)
-
-
-def _footer() -> str:
-    return (
-        "<footer>Four-sample: the first step n−1 with |T(n−2)| ≥ |T(n−3)|, |T(n−1)| ≥ |T(n−2)| and |T(n)| &lt; |T(n−1)|, one reading a"
-        " step (CN103561904). Fitted: where the rising flank meets the level of sliding. What the guideway gives before it slides"
-        " cannot be told from wind-up by torque; the uncertainty has a share for it. The data are inside this file as JSON.</footer>"
-    )

@@ -17,6 +17,7 @@ class AxisReading:
     instrument_raw_mm: as the instrument shows it
     std_um: standard deviation of one reading, if several were averaged
     target_mm, command_mm: target of the last `move_to`, without and with the correction; direction: of arrival there, +1, -1 or 0
+    since_reversal_mm, stroke_mm: commanded travel since the last reversal, and the length of the stroke before it
     sensors: air, workpiece and conditions, by their columns in the record format
     """
 
@@ -34,6 +35,8 @@ class AxisReading:
     target_mm: float | None = None
     command_mm: float | None = None
     direction: int = 0
+    since_reversal_mm: float | None = None
+    stroke_mm: float | None = None
     sensors: Mapping[str, float] = field(default_factory=dict)
 
     def row(self, run: int = 1) -> dict[str, float]:
@@ -45,7 +48,8 @@ class AxisReading:
         row = {"run": float(run), "direction": float(self.direction), "target_mm": self.target_mm}
         row |= {"measured_mm": self.instrument_mm, "command_mm": self.command_mm, "time_s": self.time_s}
         row |= {"motor_mm": self.motor_mm, **self.sensors}
-        return row if self.torque_percent is None else row | {"torque_percent": self.torque_percent}
+        optional = ("since_reversal_mm", "stroke_mm", "torque_percent")
+        return row | {name: value for name in optional if (value := getattr(self, name)) is not None}
 
     def __repr__(self) -> str:
         seen = "–" if self.instrument_mm is None else f"{self.instrument_mm:.5f} mm"

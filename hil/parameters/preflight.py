@@ -21,7 +21,7 @@ _AGREES = 1e-6
 
 @dataclass(frozen=True)
 class Objection:
-    """Why something is not written. address: "" for the drive as a whole; line: in the set's file."""
+    """Why something is not written. address: "" for the drive as a whole; name: of a register its address; line: in the set's file."""
 
     address: str
     name: str
@@ -29,7 +29,7 @@ class Objection:
     line: int | None = None
 
     def __str__(self) -> str:
-        place = " ".join(part for part in (self.address, self.name) if part)
+        place = " ".join(part for part in dict.fromkeys((self.address, self.name)) if part)
         line = "" if self.line is None else f"line {self.line}: "
         return f"{line}{place}: {self.why}" if place else f"{line}{self.why}"
 
@@ -154,10 +154,13 @@ def data_of(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> b
 
 
 def _encoded(drive: RawParameters, parameter: RawParameter, entry: SetEntry) -> bytes:
-    value = entry.value
+    value, kind = entry.value, parameter.info.kind
     if value is None:
         raise InputError("has no value")
-    if parameter.info.kind is ParameterKind.BYTES and isinstance(value, str):
+    rounded = kind is ParameterKind.INTEGER and isinstance(value, float) and not value.is_integer()
+    if rounded or isinstance(value, bool):
+        raise InputError(f"{value!r} is no {kind.value}")
+    if kind is ParameterKind.BYTES and isinstance(value, str):
         try:
             return bytes.fromhex(value)
         except ValueError as error:

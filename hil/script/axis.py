@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from drivers.clock import NS_PER_S
@@ -26,6 +27,17 @@ ROUNDED = 1e-9
 """What a place (mm) and, as a share, a velocity may be beyond a planned move: they are sums and quotients of set-points."""
 
 
+@dataclass(frozen=True)
+class _Arrival:
+    """The last move, as `AxisReading` names it."""
+
+    target_mm: float
+    command_mm: float
+    direction: int
+    since_reversal_mm: float | None = None
+    stroke_mm: float | None = None
+
+
 class Axis:
     """An axis that is looked at and moved, as a procedure of yours is given it."""
 
@@ -39,7 +51,7 @@ class Axis:
         self._alone: Supervisor | None = None  # of a drive without an instrument
         self._opened_ns = 0
         self._homed = False  # the datum is taken, and the history known
-        self._last: tuple[float, float, int] | None = None  # target, command, direction of arrival
+        self._last: _Arrival | None = None
         self._moves: tuple[Move, ...] | None = None  # that a procedure may make; None: no procedure runs
         self._first_run = 1
 
@@ -132,7 +144,7 @@ class Axis:
         raw_mm: float | None = None,
         std_um: float | None = None,
     ) -> AxisReading:
-        target_mm, command_mm, direction = self._last or (None, None, 0)
+        last = {} if self._last is None else asdict(self._last)
         return AxisReading(
             (sample.time_ns - self._opened_ns) / NS_PER_S,
             sample.state.value,
@@ -145,10 +157,8 @@ class Axis:
             sample.following_error_mm,
             sample.homed,
             sample.fault_code,
-            target_mm,
-            command_mm,
-            direction,
-            self._sensors(),
+            sensors=self._sensors(),
+            **last,
         )
 
     def _sensors(self) -> dict[str, float]:
@@ -191,16 +201,18 @@ class Axis:
         if not self._homed or lost or sample.state is not DriveState.ENABLED:
             raise StateError(f"axis {self.name} is {sample.state.value} and not ready to move, expected home() first")
         connection.drive.limits.check_target(position_mm)
-        before_mm = sample.position_load_mm if self._last is None else self._last[0]
-        velocity, command_mm = self._velocity(velocity_mm_s), position_mm
+        before_mm = sample.position_load_mm if self._last is None else self._last.target_mm
+        velocity = self._velocity(velocity_mm_s)
         self._check_planned(position_mm, velocity)
+        came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
+        direction = came or (0 if self._last is None else self._last.direction)
         if session is None:
             self._supervisor.move(position_mm, velocity)
-        else:
-            command_mm = session.move_to(position_mm, velocity).command_mm
-        came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
-        direction = came or (0 if self._last is None else self._last[2])
-        self._last = (position_mm, command_mm, direction)
+            self._last = _Arrival(position_mm, position_mm, direction)
+            return
+        command = session.move_to(position_mm, velocity)
+        since_mm, stroke_mm = command.history.since_reversal_mm, command.history.stroke_or_long_mm
+        self._last = _Arrival(position_mm, command.command_mm, direction, since_mm, stroke_mm)
 
     def _check_planned(self, position_mm: float, velocity_mm_s: float) -> None:
         """Raises LimitError for a move that a running procedure has not planned."""

@@ -102,7 +102,9 @@ def test_a_typed_amount_is_written_without_a_measurement_and_put_back(
     axis = lay_out(tmp_path, face)
     assert main(["backlash", str(axis), "--write-um", "52", "--dry-run"]) == 0
     assert "would write 52 µm" in capsys.readouterr().out
-    assert main(["backlash", str(axis), "--write-um", "52"]) == 0
+    out = tmp_path / "written.json"
+    assert main(["backlash", str(axis), "--write-um", "52", "--json", str(out)]) == 0
+    assert json.loads(out.read_text())["amount_um"] == 52.0
     assert "for 52 µm as typed; not yet proven" in " ".join(capsys.readouterr().out.split())
     assert not list(tmp_path.glob("X-campaign/backlash-*.jsonl"))
     assert main(["backlash", str(axis), "--restore"]) == 0
@@ -156,12 +158,15 @@ def test_restore_puts_back_what_was_there_before_the_first_write(
         assert main(["backlash", str(axis), "--restore", "--dry-run"]) == 0
         assert "would write back" in (plan := capsys.readouterr().out)
         assert f"{amount.name} = 1234" in plan
-        assert main(["backlash", str(axis), "--restore"]) == 0
-        assert amount.read() == 1234
+        out = tmp_path / "restored.json"
+        assert main(["backlash", str(axis), "--restore", "--json", str(out)]) == 0
+        restored = json.loads(out.read_text())["restored"]
+        assert (restored[amount.name], amount.read()) == (1234, 1234)
         assert f"put back: {amount.name} = 1234" in capsys.readouterr().out
         amount.write(77)
-        assert main(["backlash", str(axis), "--restore"]) == 0
+        assert main(["backlash", str(axis), "--restore", "--json", str(out)]) == 0
         assert "nothing to put back" in capsys.readouterr().out
+        assert json.loads(out.read_text())["restored"] is None
         assert amount.read() == 77
 
 

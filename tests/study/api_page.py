@@ -66,9 +66,13 @@ def members(one: type) -> Iterator[str]:
     own = {name.partition(".")[2] for name in OWN if name.startswith(f"{one.__name__}.")}
     fields = [name for name in inspect.get_annotations(one) if name not in alike | own and not name.startswith("_")]
     parts = [part for part in described(one)[1] if part.split("`")[1] not in own]
-    yield from parts
+    hints = inspect.get_annotations(one)
+    typed = {name: f"`{name}: {hints[name]}`".replace("ClassVar[str]", "str") for name in fields}
+    for part in parts:
+        named, colon, said = part.partition(": ")
+        yield re.sub(r"`(\w+)`", lambda found: typed.get(found[1], found[0]), named) + colon + said
     if left := [name for name in fields if not any(f"`{name}`" in part.split(": ")[0] for part in parts)]:
-        yield ", ".join(f"`{name}`" for name in left)
+        yield ", ".join(typed[name] for name in left)
     for name, member in vars(one).items():
         if name.startswith("_") or name in fields or name in alike | own:
             continue

@@ -72,7 +72,10 @@ def test_creep_after_a_stop_becomes_rows_that_the_diagnosis_takes(
     assert "Creep" in Path("creep.html").read_text(encoding="utf-8")
     assert rows_of(folder, "creep").with_name("creep.py").read_bytes() == Path("creep.py").read_bytes()
     assert main(["diagnose", str(rows_of(folder, "creep")), "--json", "found.json"]) in (0, 1)
-    assert "findings" in json.loads(Path("found.json").read_text())
+    diagnosed = json.loads(Path("found.json").read_text())
+    assert "findings" in diagnosed
+    assert not [note for note in diagnosed["notes"] if "made up" in note], "the rows say when the axis reversed"
+    assert set(rows["stroke_mm"][rows.run == 3]) == {80.0}
     capsys.readouterr()
     assert main(["records", "list", "X-campaign"]) == 0
     assert "run-creep-001" in capsys.readouterr().out

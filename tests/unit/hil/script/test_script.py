@@ -314,6 +314,10 @@ def test_a_parameter_is_changed_proven_kept_and_put_back(modbus: tuple[Path, Fac
         refused = parameters.download({"p0": new, "p99": 1})
         assert not refused.good
         assert "p99" in refused.sentence
+        for wrong in (True, new + 0.4):
+            (said,) = parameters.download({"p0": wrong}).objections
+            assert said == f"p0: {wrong!r} is no whole number"
+        assert face.ram[0] == new
         assert parameters.restore().good
         assert face.ram[0] == old
         with pytest.raises(hil.CapabilityError, match="no instrument"):
