@@ -10,15 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import scipy
 
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, iso_targets
 from hil.machine.measure import Step
 from hil.records.rows import Floats, Records
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 KIND = "dense"
 OVER_TRAVEL, PER_REVOLUTION, REVOLUTIONS = 60, 10, 2
@@ -56,7 +58,7 @@ class Between:
 
     period_mm: float
     cyclic: Floats
-    shape: scipy.interpolate.BSpline
+    shape: BSpline
     scatter_um: float
     low_mm: float
     high_mm: float
@@ -152,6 +154,7 @@ def dense_steps(axis: AxisConfig) -> list[Step]:
 
 def between_targets(records: Records, period_mm: float) -> Between:
     """The fit to a dense pass. records: uncorrected, in one direction; period_mm: of the screw. Raises InputError for too few rows."""
+    from scipy import interpolate  # noqa: PLC0415  (a verb starts without it)
 
     position, error_um = records.target_mm, records.uncorrected_error_um
     order = np.argsort(position)
@@ -162,13 +165,13 @@ def between_targets(records: Records, period_mm: float) -> Between:
     harmonics = _harmonics(position, period_mm)
     if len(position) < len(knots) + harmonics.shape[1]:
         raise InputError(f"{len(position)} rows, expected the dense pass")
-    spline = scipy.interpolate.BSpline.design_matrix(position, knots, 3).toarray()
+    spline = interpolate.BSpline.design_matrix(position, knots, 3).toarray()
     basis = np.concatenate([spline, harmonics], axis=1)
     solved = np.linalg.lstsq(basis, error_um, rcond=None)[0]
     amplitudes = solved[spline.shape[1] :]
     left = error_um - basis @ solved
     scatter = math.sqrt(float(left @ left) / (len(position) - basis.shape[1]))
-    shape = scipy.interpolate.make_lsq_spline(position, error_um - harmonics @ amplitudes, knots, 3)
+    shape = interpolate.make_lsq_spline(position, error_um - harmonics @ amplitudes, knots, 3)
     count = len(HARMONICS)
     return Between(period_mm, np.stack([amplitudes[:count], amplitudes[count:]], axis=1), shape, scatter, low, high)
 

@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from hil.records.rows import Floats
 
@@ -39,7 +38,9 @@ def mean_um(values: Floats) -> float:
 
 def _expanded_um(variance: float, m: int) -> float:
 
-    return float(scipy.special.stdtrit(m - 2, _TWO_SIGMA)) * math.sqrt(variance)
+    from scipy import special  # noqa: PLC0415  (a verb starts without it)
+
+    return float(special.stdtrit(m - 2, _TWO_SIGMA)) * math.sqrt(variance)
 
 
 def _scatter(values: Floats) -> Floats:

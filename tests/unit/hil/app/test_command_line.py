@@ -111,14 +111,14 @@ def test_the_help_of_a_verb_loads_neither_wires_nor_what_computes(verbs: list[st
     [
         (
             "hil.calibration.commands.calibrate",
-            HEAVY - {"numpy", "cryptography", "msgspec", "serial"} | {"sim_backends.bench"},
+            HEAVY - {"numpy", "cryptography", "msgspec", "serial"} | {"scipy", "sim_backends.bench"},
         ),
         ("hil.doctor.command", HEAVY - {"numpy", "cryptography", "msgspec", "serial"} | {"sim_backends.bench"}),
         (
             "hil.calibration.commands.verify hil.machine.canopen_wiring",
-            {"scipy.special", "rich", "pymodbus", "canopen"},
+            {"scipy", "rich", "pymodbus", "canopen"},
         ),
-        ("hil.calibration.commands.verify hil.machine.modbus_wiring", {"scipy.special", "rich", "can", "canopen"}),
+        ("hil.calibration.commands.verify hil.machine.modbus_wiring", {"scipy", "rich", "can", "canopen"}),
         ("hil.backlash.command", WIRES - {"serial"}),
     ],
 )
