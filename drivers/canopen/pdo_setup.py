@@ -20,9 +20,9 @@ from drivers.canopen.pdo import (
 )
 from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.whole_pdo import KEPT, PdoImage, described, read_pdo, wanted_image, write_pdo
+from drivers.canopen.whole_pdo import KEPT, PdoImage, read_otherwise, read_pdo, wanted_image, write_pdo
 from drivers.cia402.objects import DataType, Entry
-from drivers.errors import AbortError, BridgeError, InputError, ProtocolError
+from drivers.errors import AbortError, BridgeError, InputError
 from drivers.undo import undo_all
 
 SURVEYED = 4  # of each direction: the predefined connection set
@@ -208,6 +208,5 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
         ) from error
     after = read_image(sdo, spec.pdo)
     if not after.holds(wanted):
-        texts = [described(image.pack()) for image in (after, wanted)]
-        raise ProtocolError(f"{sdo.name}: {spec} reads back {texts[0]}; written was {texts[1]}")
+        raise read_otherwise(sdo, after, wanted)
     return before

@@ -187,11 +187,12 @@ def read_pdo(sdo: SdoClient, pdo: Pdo, settings: Iterable[int] = tuple(SETTINGS)
 def write_pdo(
     sdo: SdoClient, present: PdoImage, meant: PdoImage, *, beyond: bool = False, tried: list[Entry] | None = None
 ) -> Steps[None]:
-    """Bring a node's PDO from `present` to what is meant: disable, clear, map, set, enable (CiA 301, 7.5.2.36).
+    """Bring a node's PDO from `present` to what is meant: disable, clear, map, set, read back, enable (CiA 301, 7.5.2.36).
 
     What is so already, or not given, stays as it is. beyond: the entries behind the mapped ones are written too, as far as the node
-    lets them; tried: filled with the entries that were to be written. Raises what the transfers raise, AbortError too for a node that
-    answers a read of an entry and neither of two writes.
+    lets them; tried: filled with the entries that were to be written. Raises ProtocolError for a node that has accepted a mapping and
+    shows another, its PDO still disabled; what the transfers raise; AbortError too for a node that answers a read of an entry and
+    neither of two writes.
     """
     pdo, now = present.pdo, present.numbers[False, COB_ID]
     cob_id = now if meant.cob_id is None else meant.cob_id
@@ -211,7 +212,8 @@ def write_pdo(
             fixed = True  # its COB-ID is the wanted one: it is changed with a count of 0 alone
     behind = {(of, sub): value for (of, sub), value in meant.numbers.items() if of and sub > len(meant.mapped or ())}
     overwritten = beyond and any(present.numbers.get(place) != value for place, value in behind.items())
-    if meant.mapped is not None and (meant.mapped != present.mapped or overwritten):
+    remapped = meant.mapped is not None and (meant.mapped != present.mapped or overwritten)
+    if meant.mapped is not None and remapped:
         yield from put(pdo.mapped(0), 0)
         for sub, value in enumerate(meant.mapped, start=1):
             yield from put(pdo.mapped(sub), value)
@@ -223,6 +225,10 @@ def write_pdo(
         wanted = meant.numbers.get((False, sub))
         if wanted is not None and wanted != present.numbers.get((False, sub)):
             yield from put(pdo.setting(sub), wanted)
+    if remapped:
+        shown = yield from read_pdo(sdo, pdo, settings=())
+        if shown.mapped != meant.mapped:
+            raise read_otherwise(sdo, shown, meant)
     if cob_id != off and not fixed:
         yield from put(pdo.setting(COB_ID), cob_id)
 
@@ -237,6 +243,12 @@ def _put(sdo: SdoClient, entry: Entry, value: int) -> Steps[None]:
             yield from sdo.getting(entry)  # a node that does not answer at all ends it
             if again:
                 raise AbortError(f"{sdo.name}: a write to {entry} is not answered", ABORT_GENERAL) from error
+
+
+def read_otherwise(sdo: SdoClient, shown: PdoImage, meant: PdoImage) -> ProtocolError:
+    """The error of a node that accepted a PDO and shows another."""
+    texts = [described(image.pack()) for image in (shown, meant)]
+    return ProtocolError(f"{sdo.name}: {meant.pdo.name} reads back {texts[0]}; written was {texts[1]}")
 
 
 def wholes(items: Sequence[tuple[Key, bytes]]) -> dict[Pdo, PdoImage]:

@@ -1,21 +1,26 @@
 """Putting PDOs into force on the simulated drive: in the prescribed order, verified, and put back."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
+from dataclasses import replace
 
 import pytest
 
 from drivers.canopen.bus import CanLink
-from drivers.canopen.pdo import EVENT, KIND, SYNC_EVERY, PdoSpec
+from drivers.canopen.pdo import COB_ID, EVENT, KIND, SYNC_EVERY, Pdo, PdoSpec
 from drivers.canopen.pdo_setup import PdoSetup, configure, entry_of, read_image
 from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, ProtocolError
 from sim_backends.canopen_bench import CanBench
+from sim_backends.canopen_dictionary import WRONG_STATE, RefusedError
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
 
 NODE = 5
+KEPT = (0x06010002, 0x06090030)
+"""A read-only COB-ID, and an invalid value of one whose bit 31 a drive does not know (CiA 301, 7.2.4.3.17)."""
 STREAM = PdoSpec(1, False, 0x205, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
 FEEDBACK = PdoSpec(1, True, 0x185, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL))
 
@@ -135,8 +140,104 @@ def test_entries_behind_the_mapped_ones_are_put_back_too(bench: CanBench, sdo: S
 
 def test_a_mapping_that_reads_back_otherwise_is_no_success(bench: CanBench, sdo: SdoClient) -> None:
     bench.slave.dictionary.on_read(0x1A00, 2, lambda: objects.VELOCITY_ACTUAL.mapping)
-    with pytest.raises(ProtocolError, match=r"TPDO 1 \(185h\) reads back .*606Ch.*; written was .*6064h"):
+    with pytest.raises(ProtocolError, match=r"TPDO 1 reads back .*606Ch.*; written was 185h.*6064h"):
         PdoSetup(sdo, NODE, (STREAM, FEEDBACK)).apply()
+
+
+Write = Callable[[int, int, bytes], bool]
+
+
+def _intercept(bench: CanBench, takes: Write) -> None:
+    """The drive's answer to writes. takes: called with each one, whether it is handled as usual; it may raise RefusedError."""
+    dictionary = bench.slave.dictionary
+    usual = dictionary.write
+    dictionary.write = lambda *asked: usual(*asked) if takes(*asked) else None  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize("spec", [STREAM, FEEDBACK], ids=["rpdo", "tpdo"])
+@pytest.mark.parametrize("first", [0, 1], ids=["mapping", "entries"])
+def test_a_mapping_that_is_answered_and_not_taken_is_never_in_force(
+    bench: CanBench, sdo: SdoClient, spec: PdoSpec, first: int
+) -> None:
+    """The drive keeps what it was delivered with, whose frames would have the wanted COB-ID."""
+    dictionary, pdo = bench.slave.dictionary, spec.pdo
+    stale = objects.TORQUE_ACTUAL if pdo.transmit else objects.TARGET_VELOCITY
+    for subindex in (1, 2, 3):
+        dictionary.set_number(pdo.mapping, subindex, stale.mapping)
+    dictionary.set_number(pdo.communication, 1, spec.cob_id + 0x100)
+    found = _parameters(bench)
+    enabled: list[int] = []
+
+    def takes(index: int, subindex: int, data: bytes) -> bool:
+        if (index, subindex) == (pdo.communication, COB_ID) and not data[3] & 0x80:
+            enabled.append(data[0] | data[1] << 8)
+        return index != pdo.mapping or subindex < first
+
+    _intercept(bench, takes)
+    with pytest.raises(ProtocolError, match=rf"{pdo.name} reads back .*; written was {spec.cob_id:03X}h"):
+        PdoSetup(sdo, NODE, (spec,)).apply(refuse=False)
+    assert enabled == [spec.cob_id + 0x100]
+    assert _parameters(bench) == found
+
+
+def _mapped_in_place(bench: CanBench, code: int) -> None:
+    """TPDO 1 refuses its COB-ID with this code, and takes a mapping while it is in force."""
+    dictionary, pdo = bench.slave.dictionary, FEEDBACK.pdo
+
+    def takes(index: int, subindex: int, data: bytes) -> bool:
+        if (index, subindex) == (pdo.communication, COB_ID):
+            raise RefusedError(code)
+        if index == pdo.mapping:
+            if subindex and dictionary.number(pdo.mapping, 0):
+                raise RefusedError(WRONG_STATE)
+            dictionary.set_number(index, subindex, int.from_bytes(data, "little"))
+        return index != pdo.mapping
+
+    _intercept(bench, takes)
+
+
+@pytest.mark.parametrize("code", KEPT, ids=["read-only", "no-bit-31"])
+def test_a_pdo_that_cannot_be_switched_off_is_mapped_with_a_count_of_0(
+    bench: CanBench, sdo: SdoClient, code: int
+) -> None:
+    _mapped_in_place(bench, code)
+    configure(sdo, FEEDBACK)
+    assert read_image(sdo, FEEDBACK.pdo).mapped == tuple(entry.mapping for entry in FEEDBACK.entries)
+    found = _parameters(bench)
+    with pytest.raises(AbortError, match=r"TPDO 1 \(186h\) cannot be configured"):
+        configure(sdo, replace(FEEDBACK, cob_id=0x186, entries=FEEDBACK.entries[:1]))
+    assert _parameters(bench) == found
+
+
+def test_a_pdo_that_is_not_switched_off_for_another_reason_is_not_mapped(bench: CanBench, sdo: SdoClient) -> None:
+    found = _parameters(bench)
+    _mapped_in_place(bench, WRONG_STATE)
+    with pytest.raises(AbortError, match=r"TPDO 1 \(185h\) cannot be configured"):
+        configure(sdo, FEEDBACK)
+    assert _parameters(bench) == found
+
+
+@pytest.mark.parametrize(
+    ("code", "transmit", "stays"),
+    [(KEPT[0], True, True), (KEPT[1], True, True), (WRONG_STATE, True, False), (KEPT[0], False, False)],
+)
+def test_a_pdo_that_stays_in_force_has_to_be_harmless(
+    bench: CanBench, sdo: SdoClient, code: int, transmit: bool, stays: bool
+) -> None:
+    """The default RPDO 2 maps 6040h; the default TPDO 2 only adds to the load of the bus."""
+    found = _parameters(bench)
+
+    def takes(index: int, subindex: int, _data: bytes) -> bool:
+        if (index, subindex) == Pdo.numbered(2, transmit=transmit).setting(COB_ID).key:
+            raise RefusedError(code)
+        return True
+
+    _intercept(bench, takes)
+    setup = PdoSetup(sdo, NODE, (STREAM, FEEDBACK), alone=True)
+    with nullcontext() if stays else pytest.raises(AbortError):
+        setup.apply()
+        setup.restore()
+    assert _parameters(bench) == found
 
 
 @pytest.mark.parametrize("nth", range(1, 70, 2))
