@@ -10,10 +10,11 @@ from bisect import bisect_right
 from math import isfinite, isnan, nan
 
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import FAULTS, Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import FAULTS, Capability, DriveSample, DriveState, ServoDrive
 from drivers.errors import InputError, StateError
 from drivers.instrument import DistanceInstrument, Environment, Reading
 from drivers.instruments.replay import Recording
+from drivers.limits import DriveLimits
 from drivers.machine_recording import DRIVE, HOME, INSTRUMENT, MOVE, ORDER, STATES, STATUSES
 from drivers.scaling import AxisScaling
 

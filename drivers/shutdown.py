@@ -15,7 +15,7 @@ from functools import partial
 from typing import Protocol
 
 from drivers.clock import NS_PER_S, Clock
-from drivers.drive import WITHOUT_POWER, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import WITHOUT_POWER, DriveSample, DriveState, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
@@ -29,6 +29,7 @@ from drivers.errors import (
     TransportError,
     UndoError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.standstill import STILL_S, Standstill
 from drivers.undo import undo_all

@@ -11,8 +11,8 @@ from functools import partial
 from types import TracebackType
 from typing import Self
 
-from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends import laser_effects
 from sim_backends.clock import SimClock

@@ -12,7 +12,7 @@ from fractions import Fraction
 from typing import Final
 
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import (
     CapabilityError,
     DriveFaultError,
@@ -22,6 +22,7 @@ from drivers.errors import (
     MotionTimeoutError,
     StateError,
 )
+from drivers.limits import DriveLimits
 from drivers.paced_stream import PacedGroup
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings

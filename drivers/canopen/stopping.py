@@ -27,8 +27,9 @@ from drivers.cia402 import objects
 from drivers.cia402.drive import Cia402Drive
 from drivers.cia402.state_machine import decode_state
 from drivers.clock import Clock
-from drivers.drive import DriveLimits, DriveSample
+from drivers.drive import DriveSample
 from drivers.errors import BridgeError, StateError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 
 

@@ -19,8 +19,9 @@ from drivers.cia402.modes import Mode
 from drivers.cia402.objects import Entry
 from drivers.cia402.power import PowerStage
 from drivers.cia402.state_machine import Command, Control, Status, decode_state
-from drivers.drive import FAULTS, DriveLimits, DriveState
+from drivers.drive import FAULTS, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 
 

@@ -25,8 +25,9 @@ from drivers.cia402.state_machine import QUICK_STOP_ENDINGS, Command, Control, S
 from drivers.cia402.units import motion_units, read_units, readings
 from drivers.cia402.wire import ObjectAccess, ProcessImage
 from drivers.clock import Clock
-from drivers.drive import FAULTS, DriveLimits, DriveSample, DriveState, DriveZero, HomingSpeeds
+from drivers.drive import FAULTS, DriveSample, DriveState, DriveZero, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, MotionTimeoutError, StateError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from drivers.shutdown import StoppableDrive
 from drivers.standstill import Standstill

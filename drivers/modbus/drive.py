@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
 from drivers.errors import (
     BridgeError,
     CapabilityError,
@@ -19,6 +19,7 @@ from drivers.errors import (
     MotionTimeoutError,
     StateError,
 )
+from drivers.limits import DriveLimits
 from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.drive_map import DriveMap, StreamMap
 from drivers.modbus.link import ModbusLink

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from drivers.drive import DriveLimits
 from drivers.errors import MotionTimeoutError
+from drivers.limits import DriveLimits
 from drivers.modbus.codec import Raw
 from drivers.modbus.commands import hold
 from drivers.modbus.drive_map import Handshake

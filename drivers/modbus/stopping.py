@@ -8,8 +8,9 @@ from __future__ import annotations
 from contextlib import suppress
 
 from drivers.clock import Clock
-from drivers.drive import FAULTS, DriveLimits, DriveSample, DriveState
+from drivers.drive import FAULTS, DriveSample, DriveState
 from drivers.errors import BridgeError, ProtocolError, TransportError
+from drivers.limits import DriveLimits
 from drivers.modbus.commands import Commands, hold
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.drive_values import DriveValues, Unit

@@ -15,8 +15,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.toml_schema import Document
 from drivers.toml_types import (

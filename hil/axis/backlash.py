@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.toml_schema import Document
 from drivers.toml_types import Limits, Number, Positive, Text, one_of

@@ -9,7 +9,7 @@ from typing import Annotated
 
 import numpy as np
 
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.toml_schema import Document
 from drivers.toml_types import Limits, Number, one_of
 

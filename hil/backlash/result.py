@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 import scipy
 
-from hil.backlash.fitted import FittedWindUp, fit_wind_up, hidden_um
 from hil.backlash.four_sample import four_sample
 from hil.backlash.neutral_settings import SettingsBefore
+from hil.backlash.torque_fit import FittedWindUp, fit_wind_up, hidden_um
 from hil.backlash.trace import ReversalTrace
 
 _NORMAL = NormalDist().inv_cdf(0.975)

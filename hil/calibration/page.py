@@ -36,6 +36,7 @@ from hil.ui.screen.pieces import (
     lead,
     measured_checks,
 )
+from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
 from hil.ui.screen.view import View
@@ -122,7 +123,7 @@ def _draw_plan(view: View, axis: AxisConfig) -> Refresh:
     """The moves and writes of a calibration, in words, and whether the tables can be read and written."""
     t, rights = view.t, view.desk.rights
     with view.fold("calibrate.would"):
-        lines = view.question(calibrate.calibration_plan(axis))
+        lines = plan_question(calibrate.calibration_plan(axis), t)
         view.named(ui.label("\n".join(lines)).classes("hil-note"), "calibrate.plan.lines")
         opened = view.named(ui.label().classes("hil-name"), "calibrate.opened")
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.clock import NS_PER_S
-from drivers.drive import FAULTS, Capability, DriveLimits, DriveSample, DriveState
+from drivers.drive import FAULTS, Capability, DriveSample, DriveState
 from drivers.errors import (
     BridgeError,
     LimitError,
@@ -26,6 +26,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.instrument import Reading
+from drivers.limits import DriveLimits
 from hil.doctor.drive_units import compare_units
 from hil.machine.session import AxisSession
 from hil.machine.supervisor import SLICE_S, Look

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drivers.correction_table import Directions, Interpolation, Outside, RawTable, TableDescription
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.bound import CorrectionBound
 from hil.correction.tables import DirectionalTable

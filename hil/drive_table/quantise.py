@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
-from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Compensation

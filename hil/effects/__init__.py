@@ -1,53 +1,17 @@
 """The catalogue of effects: the physical causes of an axis's error, one file each, behind one protocol
 (`hil.effects.base`).
 
-The registry is the explicit tuple `ALL`. A user's own effects are appended in a tuple that is passed along
+The list is the tuple `ALL` (`hil.effects.catalogue`). A user's own effects are appended in a tuple that is passed along
 (`hil.effects.user_effects`). They are named on the command line (`hil diagnose --effects FILE.py`) or brought by an
 installed package, never named by a data file.
 """
 
 from __future__ import annotations
 
-from hil.effects.abbe import Abbe
-from hil.effects.air_index import AirIndex
-from hil.effects.backlash import Backlash
-from hil.effects.backlash_position import BacklashPosition
 from hil.effects.base import Action, Columns, Effect, Estimate, Floats, Form, NonLinear, Rival, Term
-from hil.effects.beam_drift import BeamDrift
-from hil.effects.cosine import Cosine
-from hil.effects.cross_axis import CrossAxis
-from hil.effects.cyclic import Cyclic
-from hil.effects.datum_step import DatumStep
-from hil.effects.dead_path import DeadPath
-from hil.effects.load_deflection import LoadDeflection
-from hil.effects.local_wear import LocalWear
-from hil.effects.lost_motion import LostMotion
-from hil.effects.pitch_shape import PitchShape
+from hil.effects.catalogue import ALL
 from hil.effects.reading import NEVER_SEARCHED, term_from_json
 from hil.effects.survey import Survey, survey_of
-from hil.effects.thermal_drift import ThermalDrift
-from hil.effects.thermal_expansion import ThermalExpansion
-from hil.effects.velocity_lag import VelocityLag
-
-ALL: tuple[Effect, ...] = (
-    Cyclic(),
-    ThermalExpansion(),
-    ThermalDrift(),
-    Backlash(),
-    BacklashPosition(),
-    LostMotion(),
-    VelocityLag(),
-    LoadDeflection(),
-    Abbe(),
-    CrossAxis(),
-    LocalWear(),
-    PitchShape(),
-    DatumStep(),
-    DeadPath(),
-    AirIndex(),
-    Cosine(),
-    BeamDrift(),
-)
 
 __all__ = [
     "ALL",

@@ -18,8 +18,8 @@ import numpy as np
 from drivers.errors import InputError
 from drivers.files import read_text
 from hil.axis.backlash import REVERSALS
-from hil.backlash.fitted import fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion
+from hil.backlash.torque_fit import fit_wind_up
 from hil.backlash.trace import read_trace
 from hil.diagnosis.stored import STORED
 from hil.figures.iso230 import TARGET_RESOLUTION_MM, Iso230, iso230

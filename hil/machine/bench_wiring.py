@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from drivers.clock import Waiting
-from drivers.drive import DriveLimits, ServoDrive
+from drivers.drive import ServoDrive
 from drivers.errors import InputError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
 from hil.machine.bench_conditions import BenchConditions

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 
 OUTSIDE_MM = 1.0
 """Allowed distance beyond the travel, mm: more than a move to the end of the travel overshoots."""

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Self
 
 from drivers.clock import NS_PER_S
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, HomingSpeeds
+from drivers.drive import Capability, DriveSample, DriveState, HomingSpeeds
 from drivers.errors import (
     BridgeError,
     FollowingErrorError,
@@ -24,6 +24,7 @@ from drivers.errors import (
     SafetyError,
 )
 from drivers.instrument import Reading, ReadingStatus
+from drivers.limits import DriveLimits
 from drivers.shutdown import share_time
 from drivers.standstill import ARRIVED_WITHIN_MM
 from drivers.undo import Step, undo_all

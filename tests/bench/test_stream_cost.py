@@ -30,7 +30,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.clock import Clock
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave

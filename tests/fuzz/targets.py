@@ -20,7 +20,6 @@ from hostile import files
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.eds import load_eds
-from drivers.drive import DriveLimits
 from drivers.errors import BridgeError, InputError, LinkLostError
 from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
 from drivers.instruments.gauge import Gauge
@@ -28,6 +27,7 @@ from drivers.instruments.nd2xx import Nd2xxDecoder
 from drivers.instruments.replay import Recording
 from drivers.instruments.umd_laser import UmdLaser
 from drivers.instruments.values import ValueProtocol
+from drivers.limits import DriveLimits
 from drivers.modbus.endpoint import parse_endpoint
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_map import shipped_maps

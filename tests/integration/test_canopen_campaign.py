@@ -21,7 +21,7 @@ from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.cia402 import objects
 from drivers.cia402.power import PowerTimes
-from drivers.drive import DriveLimits, DriveSample, DriveState
+from drivers.drive import DriveSample, DriveState
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -35,6 +35,7 @@ from drivers.errors import (
     StateError,
     UndoError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_faults import CanFault

@@ -14,7 +14,7 @@ import numpy as np
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.stream import CyclicStream, StreamSettings
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.tables import DirectionalTable, TableMode, TableSet

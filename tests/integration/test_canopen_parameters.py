@@ -11,12 +11,12 @@ import pytest
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.eds import EdsFile, load_eds
-from drivers.drive import DriveLimits
 from drivers.errors import (
     AbortError,
     InputError,
     ProtocolError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import EDS

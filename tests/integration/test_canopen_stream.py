@@ -13,7 +13,7 @@ import pytest
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.stream import CyclicStream, StreamSettings
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
 from drivers.errors import (
     BridgeError,
     DriveFaultError,
@@ -25,6 +25,7 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault

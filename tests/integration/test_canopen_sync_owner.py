@@ -16,8 +16,9 @@ from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
 from drivers.errors import BridgeError, InputError, SafetyError, StateError, UndoError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_dictionary import RefusedError

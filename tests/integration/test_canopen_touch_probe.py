@@ -9,8 +9,8 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.drive import DriveLimits
 from drivers.errors import AbortError, InputError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.touch_probe import Edge, Latch
 from sim_backends.canopen_bench import CanBench

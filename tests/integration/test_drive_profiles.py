@@ -24,8 +24,9 @@ from study.profiles_matrix import (
 
 from drivers.cia402.homing import HomingSettings
 from drivers.cia402.modes import Mode
-from drivers.drive import Capability, DriveLimits, DriveState, HomingSpeeds
+from drivers.drive import Capability, DriveState, HomingSpeeds
 from drivers.errors import CapabilityError, DriveFaultError, InputError, ProtocolError
+from drivers.limits import DriveLimits
 from hil.app.main import main
 from hil.machine.supervisor import homing_time_s
 from sim_backends import profile_paths

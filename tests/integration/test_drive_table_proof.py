@@ -11,7 +11,7 @@ import pytest
 from support.table_axis import FACES, lay_out_table_axis
 
 from drivers.correction_table import RawTable
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig
 from hil.correction.compensation import Compensation

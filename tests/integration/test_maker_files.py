@@ -17,10 +17,11 @@ from study.makers_matrix import SPEED_MM_S, Row, Trial, shared_data, study, summ
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.settings import CanOpenSettings
-from drivers.drive import Capability, DriveLimits, DriveState
+from drivers.drive import Capability, DriveState
 from drivers.errors import CapabilityError, LimitError, LinkLostError
 from drivers.instruments.serial_link import SerialLink
 from drivers.instruments.umd_laser import UmdLaser
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import MeasurementConfig
 from hil.doctor.procedure import doctor

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from support.modbus_in_turn import in_turn
 
-from drivers.drive import Capability, DriveLimits, DriveState
+from drivers.drive import Capability, DriveState
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -28,6 +28,7 @@ from drivers.errors import (
     StateError,
     UndoError,
 )
+from drivers.limits import DriveLimits
 from drivers.modbus.codec import Layout, Order, RegisterType
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint

@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 import pytest
 from support.modbus_in_turn import in_turn
 
-from drivers.drive import DriveLimits
 from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError, UndoError
+from drivers.limits import DriveLimits
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import LinkPolicy, ModbusLink

@@ -15,8 +15,9 @@ import pytest
 from support.modbus_direct import DirectWire
 
 from drivers.clock import Clock
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
 from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, ProtocolError
+from drivers.limits import DriveLimits
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink

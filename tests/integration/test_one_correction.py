@@ -9,8 +9,8 @@ from support.bench_axis import PASSWORDS
 from support.table_axis import lay_out_table_axis, store
 
 import sim_backends.virtual_drive
-from drivers.drive import DriveLimits
 from drivers.errors import StateError
+from drivers.limits import DriveLimits
 from drivers.set_points import SetPointSettings
 from hil.app.main import main
 from hil.correction.compensation import Compensation

@@ -17,7 +17,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Any
 
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.toml_schema import keys_of
 from hil.axis import axis_file, connections, instrument

@@ -39,8 +39,8 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.cia402.power import PowerTimes
-from drivers.drive import DriveLimits
 from drivers.errors import BridgeError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.rise import TWO_TANH, Rise

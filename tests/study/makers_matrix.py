@@ -30,8 +30,9 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.settings import CanOpenSettings
 from drivers.cia402.homing import HomingSettings
-from drivers.drive import Capability, DriveLimits
+from drivers.drive import Capability
 from drivers.errors import BridgeError, CapabilityError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import BareShaft

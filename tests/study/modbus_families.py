@@ -12,8 +12,9 @@ from pathlib import Path
 
 from support.maker_drives import FAMILIES, MakerDrive, MakerWire, served, served_on_a_line
 
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
+from drivers.limits import DriveLimits
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint

@@ -32,8 +32,9 @@ from hostile.stops import BOUND_S, Stopped, controlword_of, stopped_at, stops
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.clock import WallClock
-from drivers.drive import DriveLimits, ServoDrive
+from drivers.drive import ServoDrive
 from drivers.errors import BridgeError
+from drivers.limits import DriveLimits
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink

@@ -20,8 +20,9 @@ from drivers.cia402.objects import DataType, Entry
 from drivers.cia402.settings import Cia402Settings
 from drivers.cia402.wire import OBJECT_MISSING, Absent
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveLimits, DriveSample
+from drivers.drive import Capability, DriveSample
 from drivers.errors import AbortError
+from drivers.limits import DriveLimits
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink

@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from drivers.clock import NS_PER_S
-from drivers.drive import Capability, DriveLimits, DriveSample, DriveState, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
 from drivers.errors import LinkLostError
 from drivers.instrument import DistanceInstrument, Environment, Reading, ReadingStatus
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import MeasurementConfig
 from hil.machine.session import AxisSession

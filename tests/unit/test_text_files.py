@@ -12,10 +12,10 @@ from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
 from drivers.canopen.eds import load_eds
 from drivers.canopen.table_map import load_table_map
-from drivers.drive import DriveLimits
 from drivers.drive_notes import load_drive_notes
 from drivers.errors import InputError
 from drivers.instruments.replay import Recording
+from drivers.limits import DriveLimits
 from drivers.modbus.map_loader import load_register_map
 from drivers.modbus.wear import WearLedger
 from hil.app.main import main

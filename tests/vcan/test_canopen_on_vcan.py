@@ -11,7 +11,8 @@ from support.candump import candump
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.clock import WallClock
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import CanOpenSlave, served

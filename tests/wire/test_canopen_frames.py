@@ -13,7 +13,7 @@ from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.node import NmtCommand, NodeMonitor
 from drivers.canopen.stream import CyclicStream, StreamSettings
 from drivers.cia402.modes import Mode
-from drivers.drive import DriveLimits
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_wire import Node

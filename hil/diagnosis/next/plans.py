@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from drivers.drive import DriveLimits
 from drivers.errors import InputError
 from drivers.files import read_text, table_rows
+from drivers.limits import DriveLimits
 from hil.diagnosis.next.planned_run import Point
 from hil.records.files import split_lines
 from hil.records.rows import parse_number, shown

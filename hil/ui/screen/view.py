@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeVar
 from weakref import WeakKeyDictionary
 
@@ -20,18 +18,16 @@ from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
 from hil.desk.error_log import one_line
 from hil.desk.job import Job
-from hil.desk.plan import Plan, text_key
+from hil.desk.plan import text_key
 from hil.desk.progress import Progress
 from hil.desk.roles import Role
 from hil.desk.unfinished import UnfinishedWork
 from hil.ui.screen.browsers import Browser
+from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.texts import Texts
 
 AnyElement = TypeVar("AnyElement", bound=Element)
 _shown_errors: WeakKeyDictionary[Client, ui.notification] = WeakKeyDictionary()
-S_PER_MIN = 60.0
-AS_BEGUN = ("rows", "signs")
-"""What a campaign that is gone on with writes as it was begun: it is not asked again."""
 REFRESH_S = 0.2
 """Interval between two refreshes of a page, s."""
 
@@ -222,7 +218,7 @@ class View:
             return False
         kind = "going_on" if job.plan.measured else text_key(job.kind)
         go = self.t(f"go.{kind}", axis=self.desk.name)
-        if not await self.ask([*changes, *self.question(job.plan)], go):
+        if not await self.ask([*changes, *plan_question(job.plan, self.t)], go):
             return False
         tokens = {desk: self.browser.tokens.get(desk.name) for desk in lent}
         started = await self.attempt(lambda: self.desk.run(self.token, job, tokens, changes))
@@ -289,40 +285,6 @@ class View:
         finally:
             if not dialog.is_deleted:  # true when its page was closed meanwhile
                 dialog.delete()
-
-    def question(self, plan: Plan) -> list[str]:
-        """A plan as lines of text; of a campaign that is gone on with, what is left of it."""
-        t = self.t
-        lines = []
-        if plan.measured:
-            minutes = math.ceil(plan.seconds_left / S_PER_MIN)
-            lines.append(
-                t("plan.goes_on", measured=plan.measured, count=plan.positions, left=plan.left, minutes=minutes)
-            )
-        if plan.moves:
-            lines.append(t("plan.enables_homes" if plan.homes else "plan.enables", axis=plan.axis))
-        if plan.new_zero:
-            lines.append(t("plan.new_zero"))
-        if plan.instrument_zeroed:
-            lines.append(t("plan.instrument_zeroed"))
-        if plan.datum_mm is not None and not plan.measured:
-            lines.append(t("plan.datum", position=t.number(plan.datum_mm)))
-        for move in plan.moves:
-            sign = move.how == "drives"
-            ends = {"low": t.number(move.low_mm, sign=sign), "high": t.number(move.high_mm, sign=sign)}
-            what = t(f"plan.move.{move.what.split()[0]}", way=t.said(move.what.partition(" ")[2]))
-            lines.append(t(f"plan.{move.how}", what=what, speed=t.number(move.velocity_mm_s, 1), **ends))
-        if plan.overtravel_mm is not None:
-            lines.append(t("plan.contacts", count=plan.positions, overtravel=t.number(plan.overtravel_mm, 1)))
-        elif plan.positions and not plan.measured:
-            lines.append(t("plan.captures", count=plan.positions, seconds=t.number(plan.at_rest_s, 1)))
-        writes = [write for write in plan.writes if not (plan.measured and write.what in AS_BEGUN)]
-        return lines + [t(f"plan.write.{write.what}", place=_short_name(write.place)) for write in writes]
-
-
-def _short_name(place: str) -> str:
-    """A place as a person names it: of a path its last part."""
-    return Path(place).name if Path(place).is_absolute() else place
 
 
 @dataclass(frozen=True)

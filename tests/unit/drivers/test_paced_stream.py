@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.drive import DriveLimits, DriveSample, DriveState
+from drivers.drive import DriveSample, DriveState
 from drivers.errors import BridgeError, LimitError, NoAnswerError, StateError, UndoError
+from drivers.limits import DriveLimits
 from drivers.paced_stream import PacedGroup
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings

@@ -18,7 +18,7 @@ from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from drivers.cia402.modes import Mode
 from drivers.cia402.power import PowerTimes
-from drivers.drive import Capability, DriveLimits, DriveState, DriveZero
+from drivers.drive import Capability, DriveState, DriveZero
 from drivers.errors import (
     CapabilityError,
     DriveFaultError,
@@ -30,6 +30,7 @@ from drivers.errors import (
     ProtocolError,
     StateError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_drive import EDS

@@ -23,7 +23,7 @@ from drivers.cia402.modes import Mode
 from drivers.cia402.motion_parts import MoveOrder
 from drivers.cia402.power import PowerTimes
 from drivers.clock import WallClock
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
 from drivers.errors import (
     BridgeError,
     FollowingErrorError,
@@ -34,6 +34,7 @@ from drivers.errors import (
     ProtocolError,
     StateError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.shutdown import HALT_TAKEN_S, LOOK_S, share_time
 from drivers.standstill import STILL_MM_S, STILL_S, Standstill

@@ -13,8 +13,8 @@ from drivers.canopen.sdo import SdoClient
 from drivers.canopen.side_by_side import CanLine
 from drivers.cia402.objects import Entry
 from drivers.cia402.units import motion_units, read_units
-from drivers.drive import DriveLimits
 from drivers.errors import AbortError, BridgeError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from sim_backends.canopen_bench import CanBench
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.drive import DriveLimits
 from drivers.instruments.replay import Recording
+from drivers.limits import DriveLimits
 from hil.app.main import main
 from hil.correction.compensation import Compensation
 from hil.correction.formats import CONTROLLERS, MEASUREMENTS

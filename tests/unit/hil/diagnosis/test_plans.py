@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from drivers.limits import DriveLimits
 from hil.diagnosis.loop.next_run import runs_of
 from hil.diagnosis.next.design import design
 from hil.diagnosis.next.planned_run import Means, Point

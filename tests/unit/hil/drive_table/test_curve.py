@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
-from drivers.drive import DriveLimits
 from drivers.errors import CorrectionBoundError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.bound import CorrectionBound
 from hil.correction.tables import DirectionalTable

@@ -14,7 +14,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.table_map import load_table_map
 from drivers.correction_table import RawTable
-from drivers.drive import DriveLimits, DriveState
+from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -24,6 +24,7 @@ from drivers.errors import (
     ProtocolError,
     StateError,
 )
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.drive_table.change import (
     changing,

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, TableDescription
-from drivers.drive import DriveLimits
 from drivers.errors import CorrectionBoundError, InputError
+from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Columns, Compensation

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.drive import DriveLimits
 from drivers.errors import InputError
+from drivers.limits import DriveLimits
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise

@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.toy_axis import LIMITS, ToyMachine, toy_session
 
-from drivers.drive import DriveLimits
 from drivers.errors import LimitError
+from drivers.limits import DriveLimits
 from hil.machine.position_check import AT_REST_MM, OUTSIDE_MM, PositionCheck
 
 TRAVEL = DriveLimits(0.0, 100.0, 50.0, 500.0)

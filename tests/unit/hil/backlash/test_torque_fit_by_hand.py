@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.backlash.fitted import FittedWindUp, Polynomial, explains_more, fit_polynomial, fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion, mean_um, reversal_json
+from hil.backlash.torque_fit import FittedWindUp, Polynomial, explains_more, fit_polynomial, fit_wind_up
 from hil.backlash.trace import ReversalTrace, crept_trace, read_trace
 
 R = 8.33333e-4

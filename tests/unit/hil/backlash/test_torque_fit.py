@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hil.backlash.fitted import fit_wind_up
 from hil.backlash.result import Reversal, fitted_lost_motion, mean_um
+from hil.backlash.torque_fit import fit_wind_up
 from hil.backlash.trace import ReversalTrace
 
 LEVEL = 8.0
