@@ -9,6 +9,7 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 
 from drivers.errors import InputError
+from hil.ui.terminal.options import Subparsers, verb_parser
 
 EXAMPLE = """\
 example:
@@ -18,13 +19,10 @@ example:
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add `hil help`."""
-    parser = subparsers.add_parser(
-        "help",
-        description="Show a page of the documentation. Without a topic: list the topics.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = verb_parser(
+        subparsers, "help", "Show a page of the documentation. Without a topic: list the topics.", EXAMPLE
     )
     parser.add_argument("topic", metavar="TOPIC", nargs="?", help="a topic of the list")
     parser.add_argument("--json", metavar="FILE", help="also write the topics, or the page, as JSON to FILE")

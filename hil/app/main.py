@@ -18,7 +18,6 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, NoReturn
 
 from drivers.errors import BridgeError, InputError, LocalError
@@ -31,53 +30,74 @@ if TYPE_CHECKING:
     from hil.files.resume_hints import Unfinished
 
 VERBS = {
-    "help": ("app.help", "the pages of the documentation: hil help TOPIC"),
-    "demo": ("app.demo_options", "the whole loop on the built-in bench"),
-    "scan": ("files.scan_options", "who is on the bus"),
-    "drives": ("files.drives_options", "ready drive files and their sources; a first axis file"),
-    "doctor": ("doctor.command_options", "preflight: drive, limits, instrument, units, speed"),
-    "calibrate": ("calibration.commands.calibrate_options", "measure, compute tables, store them sealed, prove them"),
-    "verify": ("calibration.commands.verify_options", "measure with the correction in force at other targets"),
-    "backlash": ("backlash.command_options", "lost motion from the servo's torque, without a position sensor"),
-    "lost-motion": ("lost_motion.command_options", "lost motion after a reversal: measure, fit, store, prove"),
-    "circle": ("lost_motion.circle.command_options", "two axes drive a circle: what lost motion does at the quadrants"),
-    "run": ("script.command_options", "a procedure of yours in one Python file: plan, rows as they come, resume"),
-    "probe": ("probe.command_options", "a touch probe's run-out: measure, correct, centre a bore"),
+    "help": ("app.help:add_parser", "the pages of the documentation: hil help TOPIC"),
+    "demo": ("app.command_options:add_demo", "the whole loop on the built-in bench"),
+    "scan": ("files.command_options:add_scan", "who is on the bus"),
+    "drives": ("files.drives_options:add_parser", "ready drive files and their sources; a first axis file"),
+    "doctor": ("doctor.command_options:add_parser", "preflight: drive, limits, instrument, units, speed"),
+    "calibrate": (
+        "calibration.command_options:add_calibrate",
+        "measure, compute tables, store them sealed, prove them",
+    ),
+    "verify": ("calibration.command_options:add_verify", "measure with the correction in force at other targets"),
+    "backlash": (
+        "backlash.command_options:add_parser",
+        "lost motion from the servo's torque, without a position sensor",
+    ),
+    "lost-motion": (
+        "lost_motion.command_options:add_lost_motion",
+        "lost motion after a reversal: measure, fit, store, prove",
+    ),
+    "circle": (
+        "lost_motion.command_options:add_circle",
+        "two axes drive a circle: what lost motion does at the quadrants",
+    ),
+    "run": (
+        "script.command_options:add_parser",
+        "a procedure of yours in one Python file: plan, rows as they come, resume",
+    ),
+    "probe": ("probe.command_options:add_parser", "a touch probe's run-out: measure, correct, centre a bore"),
     "params": (
-        "parameters.commands.params_options",
+        "parameters.commands.params_options:add_parser",
         "drive parameters: back up, compare, download all or nothing, prove, keep",
     ),
     "straightness": (
-        "calibration.commands.straightness_options",
+        "calibration.command_options:add_straightness",
         "straightness by the instrument, and the other axis moved against it",
     ),
-    "close-loop": ("diagnosis.loop.command_options", "calibrate, verify warm, diagnose, extend, measure again"),
-    "campaign": ("diagnosis.commands.campaign_options", "design a measuring campaign, or check what one can show"),
-    "diagnose": ("diagnosis.commands.diagnose_options", "trace what is left to an effect"),
-    "fit": ("diagnosis.commands.fit_options", "a baseline model from records"),
-    "apply": ("diagnosis.commands.apply_options", "the correction of a model for each row of records"),
-    "iso230": ("files.iso230_options", "the figures of ISO 230-2"),
+    "close-loop": (
+        "diagnosis.loop.command_options:add_parser",
+        "calibrate, verify warm, diagnose, extend, measure again",
+    ),
+    "campaign": (
+        "diagnosis.commands.campaign_options:add_parser",
+        "design a measuring campaign, or check what one can show",
+    ),
+    "diagnose": ("diagnosis.commands.diagnose_options:add_parser", "trace what is left to an effect"),
+    "fit": ("diagnosis.commands.fit_options:add_parser", "a baseline model from records"),
+    "apply": ("diagnosis.commands.apply_options:add_parser", "the correction of a model for each row of records"),
+    "iso230": ("files.command_options:add_iso230", "the figures of ISO 230-2"),
     "iso230-4": (
-        "files.iso230_4_options",
+        "files.command_options:add_iso230_4",
         "the figures of ISO 230-4 of circular tests, driven here or imported",
     ),
-    "records": ("files.records_options", "campaigns on disk: list, inspect, merge, export, history"),
-    "fleet": ("fleet.command_options", "many axes over years: index, what ages, comparison, causes"),
-    "report": ("report.command_options", "one HTML file from records: plots, ISO 230-2 figures, data"),
-    "export": ("files.export_options", "the tables as a controller's file"),
+    "records": ("files.command_options:add_records", "campaigns on disk: list, inspect, merge, export, history"),
+    "fleet": ("fleet.command_options:add_parser", "many axes over years: index, what ages, comparison, causes"),
+    "report": ("report.command_options:add_parser", "one HTML file from records: plots, ISO 230-2 figures, data"),
+    "export": ("files.controller_options:add_export", "the tables as a controller's file"),
     "import": (
-        "files.import__options",
+        "files.controller_options:add_import",
         "a controller's table, or measurements of another program",
     ),
-    "seal": ("files.seal_options", "lock files: encrypted, signed by the builder"),
-    "open": ("files.open__options", "read a sealed file"),
-    "sign": ("files.sign_options", "sign a file with the builder's key, or make the key"),
-    "check": ("files.check_options", "check the builder's signature"),
-    "panel": ("app.panel.command_options", "the operator's screen in a browser on loopback"),
-    "sim": ("app.sim_options", "simulated drive and laser as processes on a real interface"),
+    "seal": ("files.command_options:add_seal", "lock files: encrypted, signed by the builder"),
+    "open": ("files.command_options:add_open", "read a sealed file"),
+    "sign": ("files.command_options:add_sign", "sign a file with the builder's key, or make the key"),
+    "check": ("files.command_options:add_check", "check the builder's signature"),
+    "panel": ("app.command_options:add_panel", "the operator's screen in a browser on loopback"),
+    "sim": ("app.sim_options:add_parser", "simulated drive and laser as processes on a real interface"),
 }
-"""Verb -> the module in `hil` of its options and its line in the help, in the order of the help. It is imported when its verb is
-called, and what the verb runs after its options are read."""
+"""Verb -> the module in `hil` and the function that add its options, and its line in the help, in the order of the help. The module is
+imported when its verb is called, and what the verb runs after its options are read."""
 
 DONE, NOT_GOOD, BAD_INPUT = 0, 1, 2
 
@@ -104,11 +124,6 @@ class _Version(argparse.Action):
 _WRONG_CHOICE = re.compile(r"'([^']*)' \(choose from (.*)\)")
 
 
-def load_verb(argv: Sequence[str]) -> ModuleType | None:
-    """Import the module of the verb that a command line names; None where it names none."""
-    return import_module(f"hil.{VERBS[argv[0]][0]}") if argv and argv[0] in VERBS else None
-
-
 def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
     """The parser: the named verb with its options, or every verb with its line in the help."""
     parser = _OneLineParser(
@@ -118,11 +133,12 @@ def build_parser(argv: Sequence[str] = ()) -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="print the version and exit")
     subparsers = parser.add_subparsers(title="verbs", metavar="VERB", required=True, parser_class=_OneLineParser)
-    verb = load_verb(argv)
-    if verb is not None:
-        verb.add_parser(subparsers)
-        if hasattr(verb, "add_options_of"):  # of a file that the command line names
-            verb.add_options_of(argv[1:], subparsers.choices[argv[0]])
+    if argv and argv[0] in VERBS:
+        module, function = VERBS[argv[0]][0].split(":")
+        options = import_module(f"hil.{module}")
+        getattr(options, function)(subparsers)
+        if hasattr(options, "add_options_of"):  # of a file that the command line names
+            options.add_options_of(argv[1:], subparsers.choices[argv[0]])
     else:
         for name, (_, text) in VERBS.items():
             subparsers.add_parser(name, help=text)

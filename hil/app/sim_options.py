@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from hil.axis import BENCH_MACHINES, BENCH_TABLES
-from hil.ui.terminal.options import Later
+from hil.ui.terminal.options import Later, Subparsers, verb_parser
 from sim_backends import MODBUS_SHAPES, profile_paths
 from sim_backends.faults import CanFaultKind, FaultKind, WireFaultKind, fault_names
 from sim_backends.gauge import GAUGE_KINDS
@@ -28,13 +28,10 @@ INSTRUMENT_KINDS = ("umd", *GAUGE_KINDS)
 FAULT_HELP = "what goes wrong, and when: KIND@SECONDS[+SECONDS][=SIZE], for example beam-lost@20+3 (repeatable)"
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add `hil sim`."""
-    parser = subparsers.add_parser(
-        "sim",
-        description="Run a simulated machine, or a part of one, as a process of its own in real time.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = verb_parser(
+        subparsers, "sim", "Run a simulated machine, or a part of one, as a process of its own in real time.", EXAMPLE
     )
     parts = parser.add_subparsers(title="parts", metavar="PART", required=True)
     _add_drive(parts)

@@ -6,7 +6,7 @@ import argparse
 import math
 
 from hil.axis.backlash import FEEDS, METHODS, REVERSALS
-from hil.ui.terminal.options import Later, add_axis_arguments, add_password_options
+from hil.ui.terminal.options import Later, Subparsers, add_axis_arguments, add_password_options, verb_parser
 
 EXAMPLE = """\
 example:
@@ -25,13 +25,13 @@ needs their passwords. Exit status 1: no break-away within the allowed steps (de
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Adds `hil backlash`."""
-    parser = subparsers.add_parser(
+    parser = verb_parser(
+        subparsers,
         "backlash",
-        description="Reverse, step until the table breaks away, and read the lost motion from the motor's torque, both ways.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Reverse, step until the table breaks away, and read the lost motion from the motor's torque, both ways.",
+        EXAMPLE,
     )
     add_axis_arguments(parser)
     parser.add_argument("--runs", type=_count, help="measurements of both reversals (default: the axis file's)")

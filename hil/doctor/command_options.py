@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-
-from hil.ui.terminal.options import Later, add_axis_arguments, add_in_motion_options, feeds
+from hil.ui.terminal.options import Later, Subparsers, add_axis_arguments, add_in_motion_options, feeds, verb_parser
 
 EXAMPLE = """\
 example:
@@ -22,13 +20,13 @@ Exit status 1: a check failed.
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add `hil doctor`."""
-    parser = subparsers.add_parser(
+    parser = verb_parser(
+        subparsers,
         "doctor",
-        description="Is everything there, and are the units what the axis file says? Asked of the drive, proven by small moves.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Is everything there, and are the units what the axis file says? Asked of the drive, proven by small moves.",
+        EXAMPLE,
     )
     add_axis_arguments(parser)
     parser.add_argument("--no-move", action="store_true", help="leave out the proof of the units, which moves the axis")

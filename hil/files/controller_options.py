@@ -1,6 +1,6 @@
-"""Options of `hil export` and `hil import` for the settings of a format.
+"""Options of `hil export` and `hil import`, and those for the settings of a format.
 
-Each option belongs to the formats whose settings have its field; given for another one it is refused, never ignored.
+Each option of a format belongs to the formats whose settings have its field; given for another one it is refused, never ignored.
 """
 
 from __future__ import annotations
@@ -13,6 +13,16 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from drivers.errors import InputError
+from hil.correction import CONTROLLER_FORMATS, MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM, MEASUREMENT_FORMATS
+from hil.ui.terminal.options import (
+    Later,
+    Subparsers,
+    add_effects_option,
+    add_json_option,
+    add_password_options,
+    positive,
+    verb_parser,
+)
 
 
 @dataclass(frozen=True)
@@ -148,3 +158,112 @@ def settings_from(args: argparse.Namespace, name: str, settings: type[Any], opti
                 raise InputError(f"{option.flag} is {value!r}, expected a whole number for {name}") from None
         values[option.field] = value
     return settings(**values)
+
+
+# -- hil export --------------------------------------------------------------------------------------------------------
+EXPORT_EXAMPLE = """\
+example:
+  hil export X.toml --format linuxcnc --out x.comp
+  hil export X.toml --format sinumerik --axis X1 --reference-mm 0 --allow-shift --out CEC_X.INI
+  hil export typed.csv --format fanuc --axis 1 --step-mm 50 --magnification 2 --out X.NC
+  hil export tables.json --format twincat --axis 2 --name Y --out achskw2.lis
+
+SOURCE is an axis file (its sealed store is read), a table file of manual mode (.csv), or tables or a model as JSON. The file is read
+back before it is handed out; what a controller must be set to besides is printed.
+"""
+
+
+def add_export(subparsers: Subparsers) -> None:
+    """Add `hil export`."""
+    parser = verb_parser(
+        subparsers,
+        "export",
+        "Write the correction tables of an axis in the format of a CNC controller.",
+        EXPORT_EXAMPLE,
+    )
+    parser.add_argument("source", metavar="SOURCE", help="AXIS.toml, TABLE.csv, or tables or a model as JSON")
+    parser.add_argument("--format", required=True, choices=CONTROLLER_FORMATS, help="the controller")
+    parser.add_argument("--out", metavar="FILE", required=True, help="the file to write")
+    parser.add_argument(
+        "--tables-only",
+        action="store_true",
+        help="leave out fitted effects that no table holds: of load, time, velocity …",
+    )
+    parser.add_argument(
+        "--bound",
+        nargs=2,
+        type=positive,
+        default=(MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM),
+        metavar=("UM", "UM_PER_MM"),
+        help=f"of a source without axis file: a larger or steeper correction is refused"
+        f" (default {MAX_CORRECTION_UM:g} {MAX_SLOPE_UM_PER_MM:g}; an axis file states its own)",
+    )
+    parser.add_argument("--dry-run", action="store_true", help="say what would be written, and write nothing")
+    add_options(parser, "options of the formats", CONTROLLER_OPTIONS)
+    add_password_options(parser, key=False)
+    add_effects_option(parser)
+    add_json_option(parser)
+    parser.set_defaults(run=Later("hil.files.export"), own_plan=True)
+
+
+# -- hil import --------------------------------------------------------------------------------------------------------
+IMPORT_EXAMPLE = """\
+example:
+  hil import x.comp --format linuxcnc --out x.csv           a table file of manual mode, to look at, edit, or store
+  hil import X.NC --format fanuc --axis 1 --out tables.json
+  hil import Sample.Lin --format keysight --out records.csv
+  hil import X.rtl --format renishaw --out records.csv
+  hil import log.txt --format lines --pattern '^\\d+ +(?P<target_mm>\\S+) +(?P<error_um>\\S+)' --out records.csv
+  hil import lab.csv --format csv --column target_mm=Soll --column measured_mm=Ist:um --decimal , --infer --out records.csv
+  hil import report.csv --format iso-wide --cells deviation_um --out records.csv
+
+Options of a controller's format that the file does not say (unit, type, reference, detection unit) must be those it was written with.
+"""
+
+
+MEASUREMENT_OPTIONS = (
+    Option(
+        "--pattern",
+        "pattern",
+        str,
+        "lines: regular expression with groups target_<unit>, error_<unit> or measured_<unit>, …",
+    ),
+    Option("--delimiter", "delimiter", str, "csv, iso-wide: what parts the columns (default: found)"),
+    Option("--decimal", "decimal", str, "csv, iso-wide, keysight, renishaw, lines: decimal mark, . (default) or ,"),
+    Option(
+        "--infer",
+        "infer",
+        None,
+        "csv: read run and direction off the order of the targets; refused where it does not say them",
+        switch=True,
+    ),
+    Option("--cells", "cells", str, "iso-wide: deviation_um (default), deviation_mm or position_mm"),
+    Option("--column", "columns", None, "csv: where a column stands"),
+)
+
+
+def add_import(subparsers: Subparsers) -> None:
+    """Add `hil import`."""
+    parser = verb_parser(
+        subparsers,
+        "import",
+        "Turn a controller's compensation file into tables, or another program's measurements into records.",
+        IMPORT_EXAMPLE,
+    )
+    parser.add_argument("file", metavar="FILE", help="the file to read")
+    names = [*CONTROLLER_FORMATS, *MEASUREMENT_FORMATS]
+    parser.add_argument("--format", required=True, choices=names, help="what it is")
+    parser.add_argument(
+        "--out", metavar="OUT", required=True, help="tables: .csv (manual mode) or .json; measurements: records .csv"
+    )
+    add_options(parser, "options of the controllers' formats", CONTROLLER_OPTIONS)
+    add_options(parser, "options of the measurements' formats", MEASUREMENT_OPTIONS[:-1])
+    parser.add_argument(
+        "--column",
+        metavar="NAME=HEADER[:UNIT]",
+        action="append",
+        default=[],
+        help="csv: where a column of ours stands (target_mm, measured_mm or error_um, run, direction, …); may be repeated",
+    )
+    add_json_option(parser)
+    parser.set_defaults(run=Later("hil.files.import_"))

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable
 from typing import Any
 
-from hil.ui.terminal.options import Later, add_json_option
+from hil.ui.terminal.options import Later, Subparsers, add_json_option, verb_parser
 
 EXAMPLE = """\
 example:
@@ -20,14 +20,14 @@ Exit status 1: index: something could not be read; trend: an alarm stands; compa
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Adds `hil fleet` with its jobs."""
-    parser = subparsers.add_parser(
+    parser = verb_parser(
+        subparsers,
         "fleet",
-        description="Many axes over years: index their campaigns, find what ages, compare and diagnose them. Needs the fleet extra."
+        "Many axes over years: index their campaigns, find what ages, compare and diagnose them. Needs the fleet extra."
         " No campaign is changed.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        EXAMPLE,
     )
     jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
     one = _job(

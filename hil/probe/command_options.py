@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 
 from hil.probe import MODES
-from hil.ui.terminal.options import KEY, READING, Later, add_json_option
+from hil.ui.terminal.options import KEY, READING, Later, Subparsers, add_json_option, verb_parser
 
 EXAMPLE = """\
 example:
@@ -37,13 +37,13 @@ OTHERS = (
 )
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Adds `hil probe` with its jobs."""
-    parser = subparsers.add_parser(
+    parser = verb_parser(
+        subparsers,
         "probe",
-        description="Measure the run-out of a touch probe on a reference block, and correct measurements by it.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Measure the run-out of a touch probe on a reference block, and correct measurements by it.",
+        EXAMPLE,
     )
     jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
     measure = _add_job(

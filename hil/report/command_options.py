@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from pathlib import Path
 
-from hil.ui.terminal.options import KEY, Later, add_json_option, add_limit_option
+from hil.ui.terminal.options import KEY, Later, Subparsers, add_json_option, add_limit_option, verb_parser
 
 EXAMPLE = """\
 example:
@@ -21,13 +21,13 @@ The file stands alone: it can be mailed, archived, printed, and signed with `hil
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add `hil report`."""
-    parser = subparsers.add_parser(
+    parser = verb_parser(
+        subparsers,
         "report",
-        description="Write one self-contained HTML file: error plots, ISO 230-2 figures, before and after, and the data behind.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Write one self-contained HTML file: error plots, ISO 230-2 figures, before and after, and the data behind.",
+        EXAMPLE,
     )
     parser.add_argument(
         "records",

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 
 from drivers.errors import InputError
-from hil.ui.terminal.options import READING, Later, add_axis_arguments, add_zero_options
+from hil.ui.terminal.options import READING, Later, Subparsers, add_axis_arguments, add_zero_options, verb_parser
 
 EXAMPLE = """\
 example:
@@ -23,13 +23,13 @@ it finish.
 """
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Adds `hil run`."""
-    parser = subparsers.add_parser(
+    parser = verb_parser(
+        subparsers,
         "run",
-        description="Carry out a measuring procedure of yours: with dry run, journal, stop and resume as the other verbs.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "Carry out a measuring procedure of yours: with dry run, journal, stop and resume as the other verbs.",
+        EXAMPLE,
     )
     parser.add_argument("procedure", metavar="PROCEDURE.py", help="Python code with a class of hil.Procedure")
     add_axis_arguments(parser)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-from hil.ui.terminal.options import add_json_option
+from hil.ui.terminal.options import Subparsers, add_json_option, verb_parser
 
 EXAMPLE = """\
 example:
@@ -95,13 +95,10 @@ class _Job(argparse.ArgumentParser):
         return jobs.choices[name].parse_known_args(args, namespace)
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_parser(subparsers: Subparsers) -> None:
     """Add `hil params`."""
-    parser = subparsers.add_parser(
-        "params",
-        description="Whole sets of drive parameters, written all or nothing and read back.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+    parser = verb_parser(
+        subparsers, "params", "Whole sets of drive parameters, written all or nothing and read back.", EXAMPLE
     )
     jobs = parser.add_subparsers(title="jobs", metavar="JOB", required=True, parser_class=_Job)
     for module, names in JOBS.items():

@@ -6,11 +6,13 @@ import argparse
 import re
 from dataclasses import dataclass
 from importlib import import_module
+from typing import TypeAlias
 
 from drivers.errors import InputError
 from hil.correction import TABLES
 from hil.machine.in_motion_settings import InMotion, feeds_of
 
+Subparsers: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 READING = "HIL_PASSWORD"
 KEY = "HIL_KEY_PASSWORD"
 RUNS = re.compile(r"\d+(-\d+)?(,\d+(-\d+)?)*")
@@ -30,6 +32,12 @@ class Later:
     def __call__(self, args: argparse.Namespace) -> int:
         """Run the function; returns the exit status."""
         return int(getattr(import_module(self.module), self.name)(args))
+
+
+def verb_parser(subparsers: Subparsers, verb: str, description: str, example: str) -> argparse.ArgumentParser:
+    """The parser of a verb, to which its options are added. example: what its help ends with, laid out as it is."""
+    layout = argparse.RawDescriptionHelpFormatter
+    return subparsers.add_parser(verb, description=description, epilog=example, formatter_class=layout)
 
 
 def add_json_option(parser: argparse.ArgumentParser) -> None:

@@ -10,7 +10,7 @@ import pytest
 from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
-from hil.files import iso230_options as verb
+from hil.files.command_options import add_iso230
 
 SMALL = "run,direction,target_mm,measured_mm\n" + "".join(
     f"{run},{d:+d},{p},{p + 0.001 * run * d}\n" for run in (1, 2, 3) for d in (1, -1) for p in (0.0, 10.0, 21.0)
@@ -19,7 +19,7 @@ SMALL = "run,direction,target_mm,measured_mm\n" + "".join(
 
 def call(*argv: str) -> int:
     parser = argparse.ArgumentParser(prog="hil")
-    verb.add_parser(parser.add_subparsers())
+    add_iso230(parser.add_subparsers())
     args = parser.parse_args(["iso230", *argv])
     code: int = args.run(args)
     return code

@@ -13,14 +13,14 @@ import pytest
 from drivers.errors import InputError
 from hil.correction.sealed import DamagedError, ForeignSignatureError, WrongPasswordError, load_private_key
 from hil.correction.sealed import seal as sealed_bytes
-from hil.files import check_options, open__options, seal_options, sign_options
+from hil.files.command_options import add_check, add_open, add_seal, add_sign
 
 
 def call(*argv: str) -> int:
     parser = argparse.ArgumentParser(prog="hil")
     subparsers = parser.add_subparsers(required=True)
-    for verb in (seal_options, open__options, sign_options, check_options):
-        verb.add_parser(subparsers)
+    for add_verb in (add_seal, add_open, add_sign, add_check):
+        add_verb(subparsers)
     args = parser.parse_args(argv)
     code: int = args.run(args)
     return code

@@ -1,12 +1,38 @@
-"""Options of `hil panel`."""
+"""Options of `hil demo` and `hil panel`."""
 
 from __future__ import annotations
 
 import argparse
 
-from hil.ui.terminal.options import Later
+from hil.ui.terminal.options import Later, Subparsers, add_json_option, seed, verb_parser
 
-EXAMPLE = """\
+# -- hil demo ----------------------------------------------------------------------------------------------------------
+DEMO_EXAMPLE = """\
+example:
+  hil demo
+  hil demo --out /tmp/demo --seed 7     another machine
+
+A CiA-402 drive on a virtual CAN bus and a laser on a pseudo-terminal, over a simulated screw axis. It is calibrated cold; warm, it
+shows an error that no table holds. The loop finds its cause, adds it to the correction, and measures again.
+"""
+
+
+def add_demo(subparsers: Subparsers) -> None:
+    """Add `hil demo`."""
+    parser = verb_parser(
+        subparsers,
+        "demo",
+        "Calibrate, verify, diagnose, extend and verify again, on a simulated machine over real protocols.",
+        DEMO_EXAMPLE,
+    )
+    parser.add_argument("--out", metavar="DIR", default="hil-demo", help="where to put everything (default hil-demo)")
+    parser.add_argument("--seed", type=seed, help="another simulated machine")
+    add_json_option(parser)
+    parser.set_defaults(run=Later("hil.app.demo"))
+
+
+# -- hil panel ---------------------------------------------------------------------------------------------------------
+PANEL_EXAMPLE = """\
 example:
   hil panel X.toml                                  prints the address; open it in a browser on this machine
   hil panel X.toml Y.toml --port 8080 --lang de     several axes, German
@@ -24,14 +50,9 @@ stop by the drive, which is no safety function. Needs the panel extra: pip insta
 LANGUAGES = ("en", "de", "zh")
 
 
-def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
+def add_panel(subparsers: Subparsers) -> None:
     """Add `hil panel`."""
-    parser = subparsers.add_parser(
-        "panel",
-        description="Serve the operator's screen of one or several axes.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = verb_parser(subparsers, "panel", "Serve the operator's screen of one or several axes.", PANEL_EXAMPLE)
     parser.add_argument("axes", metavar="AXIS.toml", nargs="+", help="an axis file each")
     parser.add_argument("--probe", metavar="MACHINE.toml", help="the machine file of a touch probe, for its page")
     parser.add_argument(
