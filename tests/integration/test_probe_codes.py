@@ -45,7 +45,7 @@ def machine(tmp_path: Path, face: str, program: str, codes: str = "", *, drive: 
     ("face", "drive"),
     [
         (probe_files.CANOPEN, "spindle"),
-        (probe_files.MODBUS, "x"),
+        pytest.param(probe_files.MODBUS, "x", marks=pytest.mark.outside),
         (probe_files.VIRTUAL, "y"),
     ],
     ids=["canopen", "modbus", "virtual"],

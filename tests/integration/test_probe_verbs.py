@@ -87,7 +87,7 @@ search_mm = 1.0
     ("face", "spindle_deg", "names"),
     [
         (probe_files.CANOPEN, 217.0, ("face",)),
-        (probe_files.MODBUS, 30.0, ("reference",)),
+        pytest.param(probe_files.MODBUS, 30.0, ("reference",), marks=pytest.mark.outside),
         (probe_files.VIRTUAL, 90.0, ("face", "angle", "boss", "reference")),
         (probe_files.VIRTUAL, None, ("face", "angle", "boss", "reference")),
     ],

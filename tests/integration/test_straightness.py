@@ -96,7 +96,10 @@ def test_the_circle_streams_it_to_the_other_axis(tmp_path: Path) -> None:
     assert straight["roundness_um"] < 0.35 * tables["roundness_um"]  # type: ignore[index]
 
 
-@pytest.mark.parametrize(("face", "period_s"), [("virtual", 0.01), ("canopen", 0.01), ("modbus-tcp", 0.02)])
+@pytest.mark.parametrize(
+    ("face", "period_s"),
+    [("virtual", 0.01), ("canopen", 0.01), pytest.param("modbus-tcp", 0.02, marks=pytest.mark.outside)],
+)
 def test_a_stream_of_one_axis_moves_the_other_in_the_same_periods(tmp_path: Path, face: str, period_s: float) -> None:
     x, _ = lay_out_bent(tmp_path, face, other="ideal")
     lateral: dict[bool, list[tuple[float, float]]] = {True: [], False: []}

@@ -258,7 +258,10 @@ def test_records_of_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
 
 
 @pytest.mark.parametrize("name", ["fanuc", "sinumerik", "twincat"])
-@pytest.mark.parametrize("asked", [0.05, 0.3, 1.0])
+@pytest.mark.parametrize(
+    "asked",
+    [0.3, *(pytest.param(asked, marks=pytest.mark.outside) for asked in (0.05, 1.0))],
+)
 def test_the_tolerance_that_was_asked_for_is_kept_or_refused(
     name: str, asked: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

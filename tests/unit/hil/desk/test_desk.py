@@ -407,7 +407,7 @@ def test_two_axes_for_one_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, u
 
 
 # -- a lost beam ---------------------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize("face", ["canopen", "modbus-tcp"])
+@pytest.mark.parametrize("face", ["canopen", pytest.param("modbus-tcp", marks=pytest.mark.outside)])
 def test_after_a_lost_beam_nothing_goes_on_until_a_person_begins_a_job(face: str, tmp_path: Path, until: Until) -> None:
     """A hand through the beam: the laser counts from another zero afterwards. The job that is begun then takes it anew."""
     path = bench_axis.lay_out(tmp_path, sections=4)

@@ -23,14 +23,23 @@ NOISES = 5.0
 CYCLIC_UM = 3.0
 
 
+@pytest.fixture(scope="module")
+def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records]:
+    """The folder of a calibrated axis with its axis file, and its uncorrected rows."""
+    path = bench_axis.lay_out(tmp_path_factory.mktemp("calibrated"))
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in bench_axis.PASSWORDS.items():
+            patch.setenv(name, value)
+        with hil.open(path) as axis:
+            return path.parent, axis.calibrate().raw.before
+
+
 @pytest.fixture
-def source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Records]:
-    """The folder of a calibrated axis, and its uncorrected rows."""
+def source(calibrated: tuple[Path, Records], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Records]:
+    """A copy of the campaigns of that axis, and its uncorrected rows."""
     for name, value in bench_axis.PASSWORDS.items():
         monkeypatch.setenv(name, value)
-    path = bench_axis.lay_out(tmp_path / "real")
-    with hil.open(path) as axis:
-        return path.parent / "X-campaign", axis.calibrate().raw.before
+    return shutil.copytree(calibrated[0], tmp_path / "real") / "X-campaign", calibrated[1]
 
 
 def alike(source: Path) -> Path:

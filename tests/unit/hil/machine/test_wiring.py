@@ -87,7 +87,7 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> TableSet:
     )
 
 
-@pytest.mark.parametrize("face", ["virtual", "modbus-rtu, vendor"])
+@pytest.mark.parametrize("face", ["virtual", pytest.param("modbus-rtu, vendor", marks=pytest.mark.outside)])
 def test_a_calibration_over_any_face_gives_the_same_tables(face: str, lay_out: LayOut, expected: TableSet) -> None:
     kind, lines = FACES[face]
     tables = tables_of(lay_out(lines), kind)
