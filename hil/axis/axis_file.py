@@ -293,12 +293,9 @@ def uncertainty_of(axis: AxisConfig) -> UncertaintyInputs | None:
     return replace(inputs, misalignment_mm=beam.lateral_mm(targets[-1] - targets[0]))
 
 
-def accuracy_of(
-    axis: AxisConfig, records: Records, limit_um: float | None = None, *, corrected: bool | None = None
-) -> Accuracy:
-    """The accuracy A of one pass along the axis with its uncertainty, against the limit. limit_um: in place of the axis file's;
-    corrected: as for `accuracy`."""
-    limit_um = axis.correction.accuracy_limit_um if limit_um is None else limit_um
+def accuracy_of(axis: AxisConfig, records: Records, *, corrected: bool | None = None) -> Accuracy:
+    """The accuracy A of one pass along the axis with its uncertainty, against the limit. corrected: as for `accuracy`."""
+    limit_um = axis.correction.accuracy_limit_um
     return accuracy(records, uncertainty_of(axis), limit_um, axis.measurement.targets_mm, corrected=corrected)
 
 

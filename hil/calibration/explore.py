@@ -22,19 +22,12 @@ from hil.records.journal import Campaign
 from hil.records.rows import Records, concatenate
 
 
-def warm_up(
-    session: AxisSession,
-    duration_s: float,
-    velocity_mm_s: float | None = None,
-    listener: Listener = silent,
-    *,
-    stage: str = "warm-up",
-) -> None:
-    """Full strokes between the outermost targets for duration_s, supervised like any other motion.
+def warm_up(session: AxisSession, duration_s: float, listener: Listener = silent, *, stage: str = "warm-up") -> None:
+    """Full strokes between the outermost targets for duration_s at half the axis's largest velocity, supervised like any other motion.
 
-    velocity_mm_s: default half the axis's limit. Raises what stops the axis.
+    Raises what stops the axis.
     """
-    velocity = session.drive.limits.max_velocity_mm_s / 2 if velocity_mm_s is None else velocity_mm_s
+    velocity = session.drive.limits.max_velocity_mm_s / 2
     low, high = min(session.how.targets_mm), max(session.how.targets_mm)
     start_ns = session.clock.now_ns()
     total = max(1, round(duration_s))

@@ -598,9 +598,7 @@ class Across:
         )
 
 
-def straightness_job(
-    axis: AxisConfig, across: Across, *, seed: int = 1, resume: bool = False, zero: ZeroStatement = NO_STATEMENT
-) -> Job:
+def straightness_job(axis: AxisConfig, across: Across, *, seed: int = 1, zero: ZeroStatement = NO_STATEMENT) -> Job:
     """Job that measures the straightness, proves and stores it, and returns a StraightnessResult."""
 
     def work(place: Workplace) -> StraightnessResult:
@@ -608,7 +606,7 @@ def straightness_job(
         present = store.stored()
         with across.machine(axis, place) as machine, zero.applied(machine.session):
             own = None if machine.session.cross is None else machine.session.cross.state.compensation
-            return run_straightness(machine, store, present, own, place.listener, seed=seed, resume=resume)
+            return run_straightness(machine, store, present, own, place.listener, seed=seed)
 
     plan = across.in_plan(zero.in_plan(straightness_plan(axis, seed)), axis)
     return Job(STRAIGHTNESS, plan, work, connects=True)

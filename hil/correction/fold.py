@@ -22,8 +22,8 @@ TRIED = np.sort(np.modf(np.arange(1, 8) * (np.sqrt(5) - 1) / 2)[0])
 """Places between two nodes at which the line is compared: multiples of the golden ratio, so that no period matches them all."""
 
 
-def folded(compensation: Compensation, tolerance_um: float = FINE_UM) -> Compensation:
-    """The same correction with every effect that a table can hold moved into the tables, within `tolerance_um` over their span.
+def folded(compensation: Compensation) -> Compensation:
+    """The same correction with every effect that a table can hold moved into the tables, within `FINE_UM` over their span.
 
     Raises InputError for an effect that needs more than `MOST_NODES` nodes.
     """
@@ -31,7 +31,7 @@ def folded(compensation: Compensation, tolerance_um: float = FINE_UM) -> Compens
     if not static:
         return compensation
     tables = compensation.tables
-    nodes = _nodes(tables.pitch.position_mm, static, tolerance_um)
+    nodes = _nodes(tables.pitch.position_mm, static)
     if tables.backlash is not None:
         nodes = np.union1d(nodes, tables.backlash.position_mm)
     plus, minus = (_error_um(static, nodes, sign) for sign in (1, -1))
@@ -43,7 +43,7 @@ def folded(compensation: Compensation, tolerance_um: float = FINE_UM) -> Compens
     return replace(compensation, tables=replace(tables, pitch=pitch, backlash=backlash), terms=rest)
 
 
-def _nodes(nodes: Floats, terms: list[ErrorTerm], tolerance_um: float) -> Floats:
+def _nodes(nodes: Floats, terms: list[ErrorTerm]) -> Floats:
     """The nodes, with nodes added until straight lines follow the effects in both directions, mm."""
     while len(nodes) > 1:
         left, step = nodes[:-1, None], np.diff(nodes)[:, None]
@@ -54,13 +54,13 @@ def _nodes(nodes: Floats, terms: list[ErrorTerm], tolerance_um: float) -> Floats
             line = ends[:-1, None] + np.diff(ends)[:, None] * TRIED
             wanted = _error_um(terms, between.ravel(), sign).reshape(between.shape)
             off = np.maximum(off, np.abs(wanted - line))
-        bent = np.max(off, axis=1) > tolerance_um
+        bent = np.max(off, axis=1) > FINE_UM
         if not np.any(bent):
             break
         nodes = np.union1d(nodes, nodes[:-1][bent] + 0.5 * np.diff(nodes)[bent])
         if len(nodes) > MOST_NODES:
             raise InputError(
-                f"the fitted effects need more than {MOST_NODES} nodes to be held by a table within {tolerance_um:g} µm"
+                f"the fitted effects need more than {MOST_NODES} nodes to be held by a table within {FINE_UM:g} µm"
             )
     return nodes
 

@@ -7,7 +7,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -63,16 +63,9 @@ class Computed:
 class WorkerProcess:
     """Starts and ends the process, from any thread. errors: log of program errors; program: command, without the axis file's path."""
 
-    def __init__(
-        self,
-        axis_file: Path,
-        errors: ErrorLog,
-        program: Sequence[str] = PROGRAM,
-        monotonic_s: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, axis_file: Path, errors: ErrorLog, program: Sequence[str] = PROGRAM) -> None:
         self._command = [*program, str(axis_file)]
         self._errors = errors
-        self._monotonic_s = monotonic_s
         self._lock = threading.Lock()
         self._computed = Computed()
         self._started_s = 0.0
@@ -84,7 +77,7 @@ class WorkerProcess:
         """The present state."""
         with self._lock:
             now = self._computed
-            return replace(now, seconds=self._monotonic_s() - self._started_s) if now.running else now
+            return replace(now, seconds=time.monotonic() - self._started_s) if now.running else now
 
     def start(self, request: Mapping[str, Any]) -> None:
         """Start a computation. Raises ComputingError while one is running."""
@@ -100,7 +93,7 @@ class WorkerProcess:
                 start_new_session=True,  # Ctrl-C at the server reaches it by `cancel` only
             )
             self._computed = Computed(self._computed.number + 1, str(request["work"]), running=True)
-            self._started_s = self._monotonic_s()
+            self._started_s = time.monotonic()
             given = (self._process, json.dumps(request), self._started_s)
             self._thread = threading.Thread(target=self._wait, args=given, name="computing", daemon=True)
             self._thread.start()
@@ -129,7 +122,7 @@ class WorkerProcess:
         except Exception as mistake:  # noqa: BLE001  otherwise the state would remain "running"
             made, error = (), self._errors.line_of(mistake)
         with self._lock:
-            seconds = self._monotonic_s() - started_s
+            seconds = time.monotonic() - started_s
             self._computed = replace(self._computed, running=False, made=made, error=error, seconds=seconds)
 
 

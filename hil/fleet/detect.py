@@ -79,7 +79,7 @@ def threshold_for(run_length: float, reference: float = REFERENCE, clip: float =
     return float(scipy.optimize.brentq(beyond, LOWEST, high, xtol=1e-4))
 
 
-def scores(values: Floats, floor: Floats | None = None, clip: float = CLIP) -> Floats:
+def scores(values: Floats, floor: Floats | None = None) -> Floats:
     """Normal scores of values, shape (n,), each against those before it; NaN for the first `LEAST` − 1.
 
     floor: standard uncertainty that each value's own repeats show, shape (n,), NaN for none: the scatter is not
@@ -88,17 +88,17 @@ def scores(values: Floats, floor: Floats | None = None, clip: float = CLIP) -> F
     found = np.full(len(values), np.nan)
     mean, squares = 0.0, 0.0
     least = np.zeros(len(values)) if floor is None else np.nan_to_num(floor)
-    beyond = float(scipy.special.ndtr(clip))
+    beyond = float(scipy.special.ndtr(CLIP))
     for n, value in enumerate(values.tolist()):
         if n >= LEAST - 1:
             s = max(math.sqrt(squares / (n - 1)), float(least[n])) * math.sqrt((n + 1) / n)
             away = value - mean
             if s == 0.0:
-                score = math.copysign(clip, away) if away else 0.0
+                score = math.copysign(CLIP, away) if away else 0.0
             else:
                 score = math.copysign(-float(scipy.special.ndtri(scipy.special.stdtr(n - 1, -abs(away) / s))), away)
-            if abs(score) > clip:
-                score = math.copysign(clip, away)
+            if abs(score) > CLIP:
+                score = math.copysign(CLIP, away)
                 value = mean + math.copysign(min(abs(away), s * float(scipy.special.stdtrit(n - 1, beyond))), away)  # noqa: PLW2901
             found[n] = score
         away = value - mean

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from drivers.clock import Waiting
 from drivers.drive import ServoDrive
-from drivers.errors import InputError
+from drivers.errors import CapabilityError, InputError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
-from hil.machine.bench_conditions import BenchConditions
 from hil.machine.instruments import build_instrument
 from hil.machine.likeness import read_likeness
 from hil.machine.links import guarded
@@ -23,6 +22,7 @@ from sim_backends.clock import SimClock
 from sim_backends.gauge import GaugeParameters
 from sim_backends.likeness import alike
 from sim_backends.own_table import TableForm, known_table
+from sim_backends.plant.axis import FeedAxis
 from sim_backends.virtual_drive import VirtualDrive, VirtualDriveSettings
 
 if TYPE_CHECKING:  # a verb loads the wire that its axis file names
@@ -223,3 +223,44 @@ def with_instrument(parameters: BenchParameters, config: InstrumentConfig) -> Be
     gauge = parameters.gauge or GaugeParameters()
     resolution_mm = display.count_mm or gauge.resolution_mm
     return replace(parameters, gauge=replace(gauge, kind=kind, pulse_hz=pulse_hz, resolution_mm=resolution_mm))
+
+
+class BenchConditions:
+    """`Conditions` of the simulated axis. levels: of the axis file, load_kg in kg and pos_y_mm in mm.
+
+    Raises CapabilityError for a condition that the bench cannot vary.
+    """
+
+    by_hand = False
+
+    def __init__(self, axis: FeedAxis, levels: Mapping[str, Sequence[float]]) -> None:
+        known = {"load_kg", "pos_y_mm"}
+        if unknown := set(levels) - known:
+            raise CapabilityError(
+                f"the bench cannot vary {', '.join(sorted(unknown))}, only {', '.join(sorted(known))}"
+            )
+        self._axis = axis
+        self._levels = {name: tuple(values) for name, values in levels.items()}
+
+    @property
+    def levels(self) -> Mapping[str, Sequence[float]]:
+        """Column name -> levels of the axis file."""
+        return self._levels
+
+    def set(self, name: str, value: float) -> None:
+        """Set load_kg or pos_y_mm at once. Raises CapabilityError for any other name."""
+        if name == "load_kg":
+            self._axis.load_kg = value
+        elif name == "pos_y_mm":
+            self._axis.other_axis_mm = value
+        else:
+            raise CapabilityError(f"the bench cannot set {name}")
+
+    def read(self) -> Mapping[str, float]:
+        """load_kg and pos_y_mm where the axis file varies them; pitch_urad and yaw_urad of the level, µrad."""
+        now = {"load_kg": self._axis.load_kg, "pos_y_mm": self._axis.other_axis_mm}
+        return {
+            **{name: now[name] for name in self._levels},
+            "pitch_urad": self._axis.pitch_urad,
+            "yaw_urad": self._axis.yaw_urad,
+        }

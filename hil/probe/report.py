@@ -13,6 +13,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
+from hil.probe.machine_file import ProbeMachineConfig
+from hil.probe.procedure import BoreCentre, RunOutMeasurement
 from hil.probe.runout import ANGLES_DEG, Centring, FourFeeds, RunOut, mean_feeds
 from hil.ui.report import markup
 from hil.ui.report.markup import header, page, tile
@@ -202,3 +204,50 @@ def _number(text: str) -> float:
         return float(text)
     except ValueError:
         return math.nan
+
+
+def run_out_report(
+    config: ProbeMachineConfig,
+    measured: RunOutMeasurement,
+    refusal: str | None,
+    history: Sequence[Mapping[str, str]],
+) -> str:
+    """Report of one measurement and its history as HTML."""
+    return render_probe(
+        ProbeReport(
+            f"Touch probe of {config.name}",
+            measured.run_out,
+            measured.turns,
+            {"closure": config.block.closure_limit_um},
+            "stored" if refusal is None else f"Refused: {refusal}",
+            identity(config, measured.mode, history[-1]["time"] if history else ""),
+            history,
+        )
+    )
+
+
+def centre_report(config: ProbeMachineConfig, found: BoreCentre, when: str) -> str:
+    """Report of a bore, and of the run-out by which it was corrected, as HTML."""
+    centring = found.centring
+    return render_probe(
+        ProbeReport(
+            f"Bore on {config.name}",
+            centring.run_out,
+            identity=identity(config, config.probe.mode, when),
+            centring=centring,
+        )
+    )
+
+
+def identity(config: ProbeMachineConfig, mode: str, when: str) -> dict[str, str]:
+    """The set-up, as label -> text, as far as it is needed to repeat the measurement."""
+    block, probe = config.block, config.probe
+    by = "positions latched by the drive" if mode == "latch" else f"pulses of {1000 * probe.pulse_mm:g} µm"
+    return {
+        "Measured": when,
+        "Machine": config.name,
+        "Drives": ", ".join(f"{name} {axis.drive.backend}" for name, axis in config.axes.items()),
+        "Contacts": f"{by}, {probe.touch_mm_s:g} mm/s",
+        "Block": f"face at X {block.face_mm:g} mm, from {block.start_mm:g} mm, {block.turns} turns of the spindle",
+        "Pre-travel": f"{1000 * probe.pretravel_mm:g} µm",
+    }

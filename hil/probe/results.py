@@ -81,7 +81,7 @@ class RunOutResult(ProbeResult):
         }
 
     def _page(self) -> str:
-        from hil.probe.documents import run_out_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.probe.report import run_out_report  # noqa: PLC0415  (plots are slow to import)
 
         return run_out_report(self.config, self.raw, self.refused, self.history)
 
@@ -143,7 +143,7 @@ class BoreResult(ProbeResult):
         return {**done.form(), **found, "diameter_mm": self.diameter_mm}
 
     def _page(self) -> str:
-        from hil.probe.documents import centre_report  # noqa: PLC0415  (plots are slow to import)
+        from hil.probe.report import centre_report  # noqa: PLC0415  (plots are slow to import)
 
         return centre_report(self.config, self.raw, self.measured)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 import uuid
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -16,6 +16,7 @@ import pytest
 
 from drivers.clock import NS_PER_S, WallClock
 from drivers.errors import StateError
+from hil.script.open_axis import OpenAxis
 from hil.testing.files import lay_out, machine_parameters
 from sim_backends.bench import Bench
 from sim_backends.canopen_faults import CanFault
@@ -127,3 +128,10 @@ def _place(wire: str) -> dict[str, Any]:
     if wire == "virtual":
         return {"interface": "virtual", "channel": f"hil-{uuid.uuid4().hex}"}
     return {"interface": "socketcan", "channel": wire} if wire == "vcan0" else {"interface": "slcan", "channel": ""}
+
+
+def fault_of(machine: OpenAxis | SimulatedDrive) -> Callable[[str], None]:
+    """The fixture `fault` of a machine."""
+    if isinstance(machine, SimulatedDrive):
+        return machine.fault
+    return lambda text: add_to_bench(machine.bench, parse_faults([text]))

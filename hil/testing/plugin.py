@@ -59,7 +59,7 @@ def fault(request: pytest.FixtureRequest) -> Callable[[str], None]:
     As `--fault` of `hil sim drive`; times and size may be left out: `fault("beam-lost")` is now. Faults of the bus, as
     `fault("tpdo-lost+0.5")`, are those of simulated_drive alone.
     """
-    from hil.testing.faults import fault_of  # noqa: PLC0415  (loads slowly)
+    from hil.testing.drive import fault_of  # noqa: PLC0415  (loads slowly)
 
     found = [name for name in MACHINES if name in request.fixturenames]
     if not found:

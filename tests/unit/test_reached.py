@@ -43,8 +43,6 @@ EXCEPTIONS = {
     "drivers.toml_schema.keys_of": "tests/study/axis_reference.py writes a page with it",
     "hil.report.dcc.schema_errors": "the extra dcc",
     "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
-    "hil.correction.sealed.sealing.read_sealed": "the face of the sealed format",
-    "hil.correction.sealed.sealing.write_sealed": "the face of the sealed format",
     "hil.__getattr__": "Python calls it",
     "hil.diagnosis.__getattr__": "Python calls it",
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",

@@ -42,12 +42,10 @@ from hil.correction.sealed.sealing import (
     check,
     is_sealed,
     open_sealed,
-    read_sealed,
     require_strong_new,
     reseal,
     resign,
     seal,
-    write_sealed,
 )
 from hil.correction.sealed.seen import check_seen, remember
 
@@ -77,7 +75,6 @@ __all__ = [
     "load_public_key",
     "new_key",
     "open_sealed",
-    "read_sealed",
     "remember",
     "require_strong",
     "require_strong_new",
@@ -87,5 +84,4 @@ __all__ = [
     "save_public_key",
     "seal",
     "sign_detached",
-    "write_sealed",
 ]

@@ -12,7 +12,6 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import Any
 
 from cryptography.exceptions import InvalidTag
@@ -21,11 +20,9 @@ from cryptography.hazmat.primitives.ciphers.aead import ChaCha20Poly1305
 from cryptography.hazmat.primitives.kdf.scrypt import Scrypt
 
 from drivers.errors import InputError
-from drivers.files import read_bytes, replace_file
 from hil.correction.sealed import container, keys
 from hil.correction.sealed.container import Binding, Container, Cost, EntryHeader, Header
 from hil.correction.sealed.errors import SealedError, WrongPasswordError
-from hil.records.files import naming
 
 Passwords = str | Mapping[str, str]
 """One common password, or one for each entry by name."""
@@ -194,27 +191,6 @@ def resign(data: bytes, builder_public: Ed25519PublicKey, new_builder_key: Ed255
 def is_sealed(data: bytes) -> bool:
     """Whether the bytes begin like a sealed file."""
     return data.startswith(container.MAGIC)
-
-
-def write_sealed(
-    path: str | Path,
-    entries: Mapping[str, bytes],
-    passwords: Passwords,
-    builder_key: Ed25519PrivateKey,
-    *,
-    cost: Cost | None = None,
-    bound_to: Mapping[str, Any] | None = None,
-) -> None:
-    """Seal into a file, replacing an older one in one step and keeping its permissions."""
-    replace_file(path, seal(entries, passwords, builder_key, cost=cost, bound_to=bound_to))
-
-
-def read_sealed(
-    path: str | Path, passwords: Passwords, builder_public: Ed25519PublicKey, *, names: Iterable[str] | None = None
-) -> dict[str, bytes]:
-    """Open a file as `open_sealed` does; errors name the file."""
-    with naming(path):
-        return open_sealed(read_bytes(path), passwords, builder_public, names=names)
 
 
 def _build(

@@ -174,7 +174,7 @@ def run_circle(
     return DrivenCircle(axes, circle, runs, campaign.directory, without, by_tables if TABLES in runs else ())
 
 
-def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None], *, period_s: float = PERIOD_S) -> Job:
+def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None]) -> Job:
     """Job at the desk of the first axis, returns a DrivenCircle. stores: of both axes, None for one that is not
     open.
     """
@@ -184,7 +184,7 @@ def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None],
         with connected_axes(axes, waiting=place.waiting) as machines:
             for machine in machines:
                 place.watch(machine.axis.name, machine.session.drive, machine.session)
-            return run_circle(machines, circle, stored, place.listener, period_s=period_s)
+            return run_circle(machines, circle, stored, place.listener)
 
     return Job(CIRCLE, circle_plan(axes, circle), work, connects=True)
 

@@ -149,15 +149,15 @@ def budgets(data: ReportData) -> list[Budget | str | None]:
     return [uncertainty_part.budget_of(campaign, data.uncertainty) for campaign in data.campaigns]
 
 
-def render_files(data: ReportData, kind: str = "png") -> dict[str, bytes]:
-    """File name -> contents of each drawing of the report, on a white ground. kind: "png" or "svg"."""
+def render_files(data: ReportData) -> dict[str, bytes]:
+    """File name -> contents of each drawing of the report, PNG on a white ground."""
     drawings = [block for block in walk(content(data)) if isinstance(block, Drawing)]
-    return {f"{drawing.file}.{kind}": file_bytes(drawing.figure(LIGHT), kind) for drawing in drawings}
+    return {f"{drawing.file}.png": file_bytes(drawing.figure(LIGHT), "png") for drawing in drawings}
 
 
-def before_after_image(campaigns: Sequence[NamedCampaign], kind: str = "png", band: Band | None = None) -> bytes:
-    """The campaigns side by side on one scale, as the contents of a file. kind: "png" or "svg"."""
-    return file_bytes(plots.before_after_plot(campaigns, LIGHT, band), kind)
+def before_after_image(campaigns: Sequence[NamedCampaign]) -> bytes:
+    """The campaigns side by side on one scale, PNG."""
+    return file_bytes(plots.before_after_plot(campaigns, LIGHT), "png")
 
 
 def rms_um(records: Records) -> float:

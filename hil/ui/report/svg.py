@@ -98,11 +98,9 @@ def fresh(width_in: float, height_in: float) -> Figure:
     return Figure(figsize=(width_in, height_in), facecolor="none")
 
 
-def new_figure(
-    width_in: float, height_in: float, *, right_in: float = 0.12, top_in: float = 0.4, left_in: float = 0.68
-) -> Figure:
+def new_figure(width_in: float, height_in: float, *, top_in: float = 0.4, left_in: float = 0.68) -> Figure:
     """A new, transparent figure with margins for labels on the left and below, and for a legend above; lengths in inches."""
-    return figure_on(fresh, width_in, height_in, right_in=right_in, top_in=top_in, left_in=left_in)
+    return figure_on(fresh, width_in, height_in, top_in=top_in, left_in=left_in)
 
 
 def figure_on(
@@ -162,15 +160,18 @@ def inline_svg(figure: FigureBase, name: str, description: str) -> str:
     return text.replace("<svg", f'<svg role="img" aria-label="{text_of(description)}"', 1).strip()
 
 
-def file_bytes(figure: FigureBase, kind: str, dpi: int = 160) -> bytes:
-    """The figure as the contents of a file, on a white ground. kind: "png" or "svg"; dpi: of a PNG, dots per inch."""
+PNG_DPI = 160
+
+
+def file_bytes(figure: FigureBase, kind: str) -> bytes:
+    """The figure as the contents of a file, on a white ground. kind: "png" or "svg"."""
     figure.set_facecolor(LIGHT.surface)
     if kind == "svg":
         return _svg(figure, "hil").encode("utf-8")
     out = io.BytesIO()
     with drawing_settings():
         canvas: Any = FigureCanvasAgg(_whole(figure))
-        _whole(figure).set_dpi(dpi)
+        _whole(figure).set_dpi(PNG_DPI)
         canvas.print_png(out, metadata={"Software": None})
     return out.getvalue()
 

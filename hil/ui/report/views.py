@@ -174,9 +174,12 @@ def _folded(x_mm: Floats, finding: Mapping[str, Any]) -> tuple[Floats, str] | No
     return np.mod(x_mm, period), f"Position within one period of {period:.4g} mm, mm"
 
 
-def binned_mean(x: Floats, y: Floats, bins: int = 24) -> Floats:
+BINS = 24
+
+
+def binned_mean(x: Floats, y: Floats) -> Floats:
     """For each row the mean of y over the rows of its bin, shape (n,). Bins have equal numbers of rows; equal x are in one bin."""
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, bins + 1)))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, BINS + 1)))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(0, len(edges) - 2))
     total = np.bincount(index, weights=y)
     return np.asarray((total / np.maximum(np.bincount(index), 1))[index], dtype=np.float64)

@@ -122,9 +122,9 @@ class View:
         """Name the source of an element's figures, "drive" or "instrument". The page's script marks them once it is silent."""
         return element.props(f'data-live="{(desk or self.desk).name}.{source}"')
 
-    def fold(self, key: str, name: str = "") -> ui.expansion:
-        """A card with a heading that opens and closes, closed at first; use with `with`. name: as `named`, default the key."""
-        return self.named(ui.expansion(self.t(key)).classes("hil-card hil-fold"), name or key)
+    def fold(self, key: str) -> ui.expansion:
+        """A card with a heading that opens and closes, closed at first; use with `with`."""
+        return self.named(ui.expansion(self.t(key)).classes("hil-card hil-fold"), key)
 
     def how(self, key: str, steps: str) -> None:
         """How a job is done, folded away; F1 opens it. key: of the heading; steps: of the text, Markdown."""

@@ -13,9 +13,9 @@ from hil.figures.verdict import Accuracy
 from hil.ui.terminal.output import Align, number, print_table
 
 
-def print_accuracy(found: Accuracy, title: str = "verified") -> None:
-    """Print the verdict on an axis, then what its ± is and by which rule it was judged. title: what was measured."""
-    print(f"{title}: {found}")
+def print_accuracy(found: Accuracy) -> None:
+    """Print the verdict on an axis, then what its ± is and by which rule it was judged."""
+    print(f"verified: {found}")
     for sentence in found.explained():
         print(f"  {sentence}")
 

@@ -45,7 +45,6 @@ from hil.correction.sealed import (
     load_public_key,
     new_key,
     open_sealed,
-    read_sealed,
     require_strong,
     require_strong_new,
     reseal,
@@ -54,7 +53,6 @@ from hil.correction.sealed import (
     save_public_key,
     seal,
     sign_detached,
-    write_sealed,
 )
 from hil.correction.sealed.container import unpack
 from hil.correction.sealed.errors import WrongKeyPasswordError
@@ -842,21 +840,13 @@ def test_what_is_no_builders_key_is_refused(tmp_path: Path) -> None:
 # the disk
 
 
-def test_write_and_read_sealed_name_the_file(tmp_path: Path) -> None:
-    path = tmp_path / "axis.sealed"
-    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
-    assert read_sealed(path, "pw", PUBLIC) == ENTRIES
-    with pytest.raises(WrongPasswordError, match=r"axis\.sealed: wrong password"):
-        read_sealed(path, "no", PUBLIC)
-
-
 def test_replacing_keeps_permissions_and_leaves_no_litter(tmp_path: Path) -> None:
     path = tmp_path / "axis.sealed"
-    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    replace_file(path, seal(ENTRIES, "pw", BUILDER, cost=CHEAP))
     path.chmod(0o640)
     (tmp_path / "link").symlink_to(path)
-    write_sealed(tmp_path / "link", {"a": b"1"}, "pw", BUILDER, cost=CHEAP)
-    assert read_sealed(path, "pw", PUBLIC) == {"a": b"1"}
+    replace_file(tmp_path / "link", seal({"a": b"1"}, "pw", BUILDER, cost=CHEAP))
+    assert open_sealed(path.read_bytes(), "pw", PUBLIC) == {"a": b"1"}
     assert stat.S_IMODE(path.stat().st_mode) == 0o640
     assert sorted(p.name for p in tmp_path.iterdir()) == ["axis.sealed", "link"]
 
@@ -866,7 +856,7 @@ def test_a_failure_while_replacing_leaves_the_old_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails: str
 ) -> None:
     path = tmp_path / "axis.sealed"
-    write_sealed(path, ENTRIES, "pw", BUILDER, cost=CHEAP)
+    replace_file(path, seal(ENTRIES, "pw", BUILDER, cost=CHEAP))
     before = path.read_bytes()
 
     def broken(*_: object, **__: object) -> None:
@@ -874,7 +864,7 @@ def test_a_failure_while_replacing_leaves_the_old_file(
 
     monkeypatch.setattr(files.os, fails, broken)
     with pytest.raises(InputError, match=r"axis\.sealed: cannot be written: No space left"):
-        write_sealed(path, {"a": b"1"}, "pw", BUILDER, cost=CHEAP)
+        replace_file(path, seal({"a": b"1"}, "pw", BUILDER, cost=CHEAP))
     monkeypatch.undo()
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["axis.sealed"]
