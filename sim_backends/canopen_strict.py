@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -350,26 +349,3 @@ class StrictSlave(CanOpenSlave):
         for profile in self.more:
             profile.tick(now_ns)
         super().tick(now_ns)
-
-
-@dataclass
-class SpeedWatch:
-    """The true speed of a shaft in rev/s, by the places it was at. fastest: since `restart`. path: (time ns, rev) of every step."""
-
-    servo: SimulatedServo
-    fastest_rev_s: float = 0.0
-
-    def __post_init__(self) -> None:
-        self._rev = self.servo.motor_rev
-        self.now_rev_s = 0.0
-
-    def restart(self) -> None:
-        """Forget what was seen."""
-        self.fastest_rev_s = 0.0
-
-    def advance(self, _now_ns: int, dt_s: float) -> None:
-        """For `SimClock.attach`, behind the servo."""
-        rev = self.servo.motor_rev
-        self.now_rev_s = (rev - self._rev) / dt_s
-        self._rev = rev
-        self.fastest_rev_s = max(self.fastest_rev_s, abs(self.now_rev_s))

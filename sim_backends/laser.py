@@ -36,7 +36,7 @@ class _Line:
 
 
 class SimulatedLaser:
-    """The instrument on its pseudo-terminal. Use `serve.laser_pty` or the context manager; `path` is what a reader opens.
+    """The instrument on its pseudo-terminal. `path` is what a reader opens; `close` it at the end.
 
     pulse: its trigger output, called at the exact time of each sample.
     """

@@ -1,39 +1,16 @@
-"""Simulated instruments on real interfaces, simulated time that follows real time, and an axis that moves to and fro by itself.
+"""Simulated time that follows real time, and an axis that moves to and fro by itself.
 
-A test sleeps on the SimClock and reads in its own thread. For readers in other processes `run_in_real_time` lets the same SimClock,
-with everything attached to it, follow the wall clock.
+For readers in other processes `run_in_real_time` lets the SimClock, with everything attached to it, follow the wall clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.clock import NS_PER_S, Clock
 from sim_backends.clock import SimClock
-from sim_backends.faults import Fault
-from sim_backends.laser import LaserParameters, SimulatedLaser
-from sim_backends.plant.axis import FeedAxis
 from sim_backends.servo import SimulatedServo
-
-
-@contextmanager
-def laser_pty(
-    clock: SimClock,
-    axis: FeedAxis,
-    parameters: LaserParameters | None = None,
-    faults: tuple[Fault, ...] = (),
-    *,
-    wait_for_arrival: bool = True,
-) -> Iterator[SimulatedLaser]:
-    """A simulated µMD laser attached to a clock (after what moves the axis); a reader opens its `path`. Closed at the end."""
-    laser = SimulatedLaser(axis, parameters, faults, start_ns=clock.now_ns(), wait_for_arrival=wait_for_arrival)
-    clock.attach(laser.advance, bearable=laser.bearable, settle=laser.settle)
-    try:
-        yield laser
-    finally:
-        laser.close()
 
 
 class Pace:

@@ -16,6 +16,7 @@ import canopen
 import pytest
 from support import their_canopen
 from support.drive_rigs import LIMITS
+from support.served_drive import served
 
 from drivers.canopen.beside import Beside, SharedBus
 from drivers.canopen.bus import CanLink
@@ -26,7 +27,7 @@ from drivers.drive import DriveState
 from drivers.errors import InputError, StateError
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import EDS, CanOpenSlave, attach_to_wire, served
+from sim_backends.canopen_drive import EDS, CanOpenSlave, attach_to_wire
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.servo import SimulatedServo

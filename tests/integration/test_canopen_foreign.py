@@ -13,6 +13,7 @@ import canopen
 import pytest
 from support import their_canopen
 from support.parameter_faults import KilledError
+from support.served_drive import served
 
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
@@ -39,7 +40,7 @@ from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import Target
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import EDS, CanOpenSlave, served
+from sim_backends.canopen_drive import EDS, CanOpenSlave
 from sim_backends.servo import SimulatedServo
 
 NODE = 7

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from study.modbus_families import FEED_MM, HOW, Rig, Scale, failures
 from support.maker_drives import FAMILIES, DeltaAsdaA2, LeadshineEl7, LichuanA5, MrJeC, served
+from support.served_drive import served as served_can
 
 from drivers.clock import WallClock
 from drivers.drive_notes import shipped_notes
@@ -26,7 +27,6 @@ from hil.machine.axis_lock import modbus_endpoint
 from hil.machine.session import AxisSession
 from hil.machine.wiring import connected_drive
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import served as served_can
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import tcp_server

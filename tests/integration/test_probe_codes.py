@@ -11,6 +11,7 @@ from pathlib import Path
 import canopen
 import pytest
 from support import probe_files
+from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -23,7 +24,6 @@ from hil.app.main import main
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.wiring import control_wires
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import served
 from sim_backends.control_wires import Wires
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space

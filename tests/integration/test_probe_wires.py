@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from support import probe_files
 from support.probe_files import connected_probe
+from support.served_drive import served
 
 from drivers.clock import WallClock
 from drivers.drive import ServoDrive
@@ -21,7 +22,6 @@ from hil.machine.wiring import hardware_drive
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.procedure import measure_run_out
 from hil.probe.wiring import probe_bench, probe_session
-from sim_backends.canopen_drive import served
 from sim_backends.plant.touch_probe import Bore, Face, Stylus
 from sim_backends.probe import ProbeParameters
 

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.served_drive import served
 from support.sim_process import sim
 
 from drivers.clock import WallClock
 from hil.app.main import main
 from hil.files.scan import parse_ids
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import served
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
 from sim_backends.modbus_registers import Face

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from support.candump import Seen, candump
 from support.node_peer import NodePeer, PeerError
+from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
@@ -27,7 +28,7 @@ from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError, LinkLostError
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import CanOpenSlave, served
+from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.servo import SimulatedServo
 
 pytestmark = [pytest.mark.vcan, pytest.mark.outside]

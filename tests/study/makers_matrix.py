@@ -37,7 +37,7 @@ from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.canopen_drive import CanOpenSlave, attach_to_wire
-from sim_backends.canopen_strict import SpeedWatch, StrictSlave
+from sim_backends.canopen_strict import StrictSlave
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.homing import HOMING_METHODS
@@ -126,6 +126,29 @@ def homing_method(maker: MakerFile) -> int:
         ):
             return method
     return 35
+
+
+@dataclass
+class SpeedWatch:
+    """The true speed of a shaft in rev/s, by the places it was at. fastest: since `restart`. path: (time ns, rev) of every step."""
+
+    servo: SimulatedServo
+    fastest_rev_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        self._rev = self.servo.motor_rev
+        self.now_rev_s = 0.0
+
+    def restart(self) -> None:
+        """Forget what was seen."""
+        self.fastest_rev_s = 0.0
+
+    def advance(self, _now_ns: int, dt_s: float) -> None:
+        """For `SimClock.attach`, behind the servo."""
+        rev = self.servo.motor_rev
+        self.now_rev_s = (rev - self._rev) / dt_s
+        self._rev = rev
+        self.fastest_rev_s = max(self.fastest_rev_s, abs(self.now_rev_s))
 
 
 class Trial:

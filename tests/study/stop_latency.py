@@ -28,6 +28,7 @@ if __name__ == "__main__":  # the folder of a script is first in the path, and h
 
 from hostile.places import VERBS
 from hostile.stops import BOUND_S, Stopped, controlword_of, stopped_at, stops
+from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -45,7 +46,6 @@ from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import served
 from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server

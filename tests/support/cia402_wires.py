@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 
+from support.served_drive import served
+
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.settings import CanOpenSettings
@@ -33,7 +35,6 @@ from drivers.scaling import AxisScaling
 from drivers.shutdown import Left, StoppableDrive
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_dictionary import Dictionary, RefusedError
-from sim_backends.canopen_drive import served
 from sim_backends.canopen_profile import DriveProfile
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

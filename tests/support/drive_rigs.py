@@ -11,6 +11,7 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
 import pytest
+from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -22,7 +23,7 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import attach_to_wire, served
+from sim_backends.canopen_drive import attach_to_wire
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

@@ -9,14 +9,16 @@ import json
 import signal
 import sys
 import threading
+from contextlib import closing
 
 from support.maker_drives import FAMILIES, served
 
 from drivers.clock import WallClock
 from sim_backends.clock import SimClock
+from sim_backends.laser import SimulatedLaser
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import ideal_axis
-from sim_backends.serve import Pace, laser_pty
+from sim_backends.serve import Pace
 
 
 def main(name: str) -> None:
@@ -35,7 +37,9 @@ def main(name: str) -> None:
         return not ended.is_set()
 
     maker.asked = catch_up
-    with laser_pty(clock, plant, wait_for_arrival=False) as laser, served(maker) as port:
+    laser = SimulatedLaser(plant, start_ns=clock.now_ns(), wait_for_arrival=False)
+    clock.attach(laser.advance, bearable=laser.bearable, settle=laser.settle)
+    with closing(laser), served(maker) as port:
         print(
             json.dumps({"tcp": f"127.0.0.1:{port}", "laser": laser.path, "start_counts": kind.start_counts}), flush=True
         )

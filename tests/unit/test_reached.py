@@ -48,14 +48,9 @@ EXCEPTIONS = {
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",
     "hil.testing.plugin.pytest_addoption": "pytest calls it",
     "sim_backends.modbus_drive.ModbusServer.drop_connections": "a fault of a server that tests play",
-    "sim_backends.serve.laser_pty": "a laser that tests attach",
 }
 """Function -> why it stays although nothing reaches it."""
-IN_TESTS = (
-    "sim_backends.canopen_bench.CanBench",
-    "sim_backends.canopen_drive.",
-    "sim_backends.canopen_strict.SpeedWatch",
-)
+IN_TESTS = ("sim_backends.canopen_bench.CanBench",)
 """Benches with which tests put simulated drives on a bus."""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.candump import candump
+from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -15,7 +16,7 @@ from drivers.drive import DriveState
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import CanOpenSlave, served
+from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.servo import SimulatedServo
 
 pytestmark = pytest.mark.vcan

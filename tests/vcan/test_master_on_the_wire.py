@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.candump import Seen, candump
+from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -16,7 +17,6 @@ from drivers.drive import ServoDrive
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import served
 from sim_backends.servo import SimulatedServo
 
 pytestmark = pytest.mark.vcan

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import bench_axis
+from support.served_drive import served
 
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.clock import WallClock
@@ -30,7 +31,6 @@ from hil.machine.wiring import connected, connected_drive
 from hil.parameters.wiring import connected_parameters
 from hil.records.journal import Campaign
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import served
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.servo import SimulatedServo
 from sim_backends.virtual_drive import VirtualDrive
