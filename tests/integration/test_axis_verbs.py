@@ -225,7 +225,8 @@ def test_a_band_that_cannot_be_held_ends_with_both_figures(
     ["commission", *(pytest.param(script, marks=pytest.mark.outside) for script in ("lost_motion", "close_the_loop"))],
 )
 def test_every_example_runs_as_shipped(axis: Path, script: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert import_module(f"hil.examples.{script}").main(str(axis)) == 0
+    own = bench_axis.lay_out(axis.parent / script, on_a_wire=script == "commission")
+    assert import_module(f"hil.examples.{script}").main(str(own)) == 0
     assert " µm" in capsys.readouterr().out
 
 

@@ -29,7 +29,7 @@ TEXT = (
 backend = "bench"
 machine = "{machine}"
 seed = 5
-
+{face}
 [instrument]
 place_temps = {{ screw = 4 }}
 
@@ -65,12 +65,22 @@ customer = { name = "Example Works", city = "Jena", country = "DE" }
 
 
 def lay_out(
-    directory: Path, *, machine: str = "geometric", sections: int = 5, runs: int = 2, correction: str = ""
+    directory: Path,
+    *,
+    machine: str = "geometric",
+    sections: int = 5,
+    runs: int = 2,
+    correction: str = "",
+    on_a_wire: bool = True,
 ) -> Path:
-    """Write axis.toml and the builder's pair into a directory; the axis file's path."""
+    """Write axis.toml and the builder's pair into a directory; the axis file's path.
+
+    on_a_wire: the drive is on a CAN bus, which computes as long as the machine itself.
+    """
     directory.mkdir(parents=True, exist_ok=True)
     path = directory / "axis.toml"
-    path.write_text(TEXT.format(machine=machine, sections=sections, runs=runs, correction=correction))
+    face = "" if on_a_wire else 'face = "virtual"\n'
+    path.write_text(TEXT.format(machine=machine, sections=sections, runs=runs, correction=correction, face=face))
     write_keys(directory)
     return path
 
