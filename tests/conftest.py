@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from support.bench_axis import PASSWORDS
 
 from hil.correction.sealed import Cost, save_private_key
 
@@ -138,6 +139,13 @@ def quick_flush(request: pytest.FixtureRequest) -> Iterator[None]:
         if not any(BENCH in path.parents for path in {item.path for item in request.session.items}):
             patch.setattr(os, "fsync", lambda _handle: None)
         yield
+
+
+@pytest.fixture
+def passwords(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Passwords of the store and of the builder that `support.bench_axis` lays out, where the verbs look for them."""
+    for name, value in PASSWORDS.items():
+        monkeypatch.setenv(name, value)
 
 
 @pytest.fixture

@@ -150,6 +150,7 @@ def longest_file(most_bytes: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.parametrize(
     "verb",
     [
@@ -160,8 +161,6 @@ def longest_file(most_bytes: int) -> Iterator[None]:
 def test_a_disk_that_is_full_at_any_write_of_a_verb_of_files(
     verb: str, inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name, password in PASSWORDS.items():
-        monkeypatch.setenv(name, password)
 
     def tried(name: str, disk: AbstractContextManager[None]) -> tuple[int, str, dict[str, bytes]]:
         """Exit status, error output, and the files that are new or changed."""

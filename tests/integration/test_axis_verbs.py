@@ -29,9 +29,7 @@ from hil.records.zero import read_zero, write_zero
 
 
 @pytest.fixture
-def axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+def axis(passwords: None, tmp_path: Path) -> Path:
     return bench_axis.lay_out(tmp_path)
 
 
@@ -208,11 +206,8 @@ def test_a_wrong_password_is_refused_before_anything_moves(
     assert not (tmp_path / "X-campaign").exists()
 
 
-def test_a_band_that_cannot_be_held_ends_with_both_figures(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+@pytest.mark.usefixtures("passwords")
+def test_a_band_that_cannot_be_held_ends_with_both_figures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = bench_axis.lay_out(tmp_path, machine="typical", correction="band_um = [6.0, 6.01]")
     assert main(["calibrate", str(path)]) == 2
     error = capsys.readouterr().err

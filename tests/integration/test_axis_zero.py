@@ -461,13 +461,12 @@ def test_doctor_names_the_risk(site: Make, homing: str, verdict: str, said: str)
     assert found["zero"].good
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.outside
 def test_a_store_that_states_no_zero_warns_in_a_line_and_is_used(
-    site: Make, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    site: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here = site("1")
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     with here.machine() as machine:
         tables = run_calibration(machine, here.store()).tables
     replace(here.store(), zero_path=None).save_tables(tables)
@@ -478,12 +477,11 @@ def test_a_store_that_states_no_zero_warns_in_a_line_and_is_used(
     assert "states no zero" not in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("passwords")
 def test_the_verbs_say_it_in_a_line_and_take_the_word_of_a_person(
-    site: Make, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    site: Make, capsys: pytest.CaptureFixture[str]
 ) -> None:
     here = site("37")
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     path = str(here.axis.path)
     assert main(["calibrate", path]) == 0
     was_at = here.motor_mm()

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from support.bench_axis import PASSWORDS
 from support.commissioning import PATIENT, Job, kept, look, prepare, rows_of, wait_for
 from support.sim_process import SimProcess, sim
 
@@ -102,10 +101,9 @@ def test_a_script_moves_and_reads_an_axis_over_a_real_wire(wire: str, tmp_path: 
     assert len(rows) > 2
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.parametrize("wire", ["modbus tcp", *ON_CAN])
-def test_an_axis_is_calibrated_over_a_real_wire(wire: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+def test_an_axis_is_calibrated_over_a_real_wire(wire: str, tmp_path: Path) -> None:
     with shop(wire, tmp_path, velocity=80.0) as at:
         assert main(["calibrate", str(at.axis), "--json", str(tmp_path / "calibrate.json")]) == 0
         result = json.loads((tmp_path / "calibrate.json").read_text())
@@ -129,11 +127,10 @@ def busy_processes(count: int) -> Iterator[None]:
             each.wait()
 
 
-def test_an_axis_is_calibrated_on_a_busy_computer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("passwords")
+def test_an_axis_is_calibrated_on_a_busy_computer(tmp_path: Path) -> None:
     """With the default time-outs, while four other processes compute: an answer that comes late is asked for again. Not in the
     guest: how late its emulated processors answer depends on the host, which then decides whether those time-outs are enough."""
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     with shop("slcan", tmp_path, velocity=80.0) as at, busy_processes(4):
         text = at.axis.read_text(encoding="utf-8")
         assert PATIENT["canopen"] in text
@@ -220,17 +217,15 @@ def test_a_guarded_drive_stops_by_itself_when_its_master_is_killed(wire: str, tm
         assert at.machine.left["position_mm"] < 15.0, "it was on its way there"
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.parametrize(("homing", "resumes"), [((), True), (("--homing", "37"), False)], ids=["switch", "37"])
 def test_resume_in_another_process_stays_in_the_zero(
     homing: tuple[str, ...],
     resumes: bool,
     tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """With 37 the axis would call the place where the interruption left it zero."""
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     with shop("modbus tcp", tmp_path, velocity=60.0, homing=homing) as at:
         with Job("calibrate", str(at.axis)) as job:
             wait_for(lambda: rows_of(at.axis) >= 2, "two rows", unless_ended=job.process)

@@ -20,13 +20,9 @@ from hil.correction.store import SealedStore
 from hil.correction.tables import SingleTable, TableMode
 from hil.records.rows import read_csv
 
+pytestmark = pytest.mark.usefixtures("passwords")
+
 READING, KEY = bench_axis.PASSWORDS["HIL_PASSWORD"], bench_axis.PASSWORDS["HIL_KEY_PASSWORD"]
-
-
-@pytest.fixture(autouse=True)
-def _passwords(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
 
 
 def reversal_um(directory: Path) -> float:

@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from hostile import disks
 from support import backlash_axis, bench_axis
-from support.bench_axis import PASSWORDS
 from support.fleet import rows, write_campaign
 from support.two_axes import lay_out_axes
 
@@ -89,13 +88,10 @@ def test_index_trend_compare_diagnose(fleet: Path, tmp_path: Path, capsys: pytes
     assert "Traceback" not in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.outside
-def test_campaigns_of_the_program_itself(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_campaigns_of_the_program_itself(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Calibration, lost motion by the instrument and by torque, each below a directory of its own, as three machines."""
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     for place in "abc":
         (tmp_path / place).mkdir()
     bench_axis.lay_out(tmp_path / "a", machine="worn")

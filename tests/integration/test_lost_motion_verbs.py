@@ -22,13 +22,9 @@ from hil.correction.rise import TANH, Rise, rise_of
 from hil.correction.store import SealedStore
 from sim_backends.bench import known_bench
 
+pytestmark = pytest.mark.usefixtures("passwords")
+
 WORN_UM = 53.0
-
-
-@pytest.fixture(autouse=True)
-def _passwords(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
 
 
 def stored(path: Path) -> SealedStore:

@@ -63,11 +63,10 @@ def test_a_recording_gives_the_same_rows_again_and_nothing_else(
             measure(machine.session, Campaign(tmp_path / "other", {"kind": "x"}, resume=False), "x", steps)
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.outside
-def test_the_verb_records_and_replays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_verb_records_and_replays(tmp_path: Path) -> None:
     axis = axis_at(tmp_path, "canopen")
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     assert main(["calibrate", str(axis.path)]) == 0
     recording = str(tmp_path / "machine.csv")
     assert main(["verify", str(axis.path), "--record", recording, "--json", str(tmp_path / "was.json")]) == 0

@@ -30,6 +30,8 @@ from sim_backends.canopen_drive import EDS
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_vendor import VendorRegisters
 
+pytestmark = pytest.mark.usefixtures("passwords")
+
 READING, KEY = bench_axis.PASSWORDS["HIL_PASSWORD"], bench_axis.PASSWORDS["HIL_KEY_PASSWORD"]
 NAMES = {"canopen": ("2201h:00", "6091h:01"), "modbus-tcp": ("backlash", "gear_numerator")}
 """Addresses of the amount and of the gear in parameter sets."""
@@ -56,12 +58,6 @@ def turn_knob(monkeypatch: pytest.MonkeyPatch, *, amount: int = 0, gear: int = 1
         face._working["backlash"] = amount
 
     monkeypatch.setattr(VendorRegisters, "__init__", vendor)
-
-
-@pytest.fixture(autouse=True)
-def _passwords(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
 
 
 def store(axis: AxisConfig, reversal_um: float, made_with: MadeWith | None) -> None:

@@ -772,19 +772,6 @@ def store(drive: ModbusDrive) -> None:
 
 
 # -- parameters --------------------------------------------------------------------------------------------------------
-def test_parameters_by_name_in_their_units(each: Rig) -> None:
-    with each.drive as drive:
-        drive.require(Capability.PARAMETERS)
-        gain = "position_gain" if isinstance(each.face, Cia402Registers) else "stiffness"
-        limit = "max_torque" if isinstance(each.face, Cia402Registers) else "torque_limit"
-        assert drive.parameters.write(gain, 37.5) is True
-        assert drive.parameters.write(gain, 37.5) is False  # holds it already: not written
-        assert drive.parameters.write(limit, 123.4) is True
-        assert drive.parameters.read(limit) == pytest.approx(123.4)
-        with pytest.raises(InputError, match=f"{limit}: 301.* is above its limit 300"):
-            drive.parameters.write(limit, 301)
-        with pytest.raises(InputError, match="has no parameter 'nonsense'"):
-            drive.parameters.read("nonsense")
 
 
 @pytest.mark.parametrize(

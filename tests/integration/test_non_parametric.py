@@ -100,11 +100,10 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.outside
-def test_verify_moves_with_it_in_force(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verify_moves_with_it_in_force(tmp_path: Path) -> None:
     """Measured on a colder machine than today's: held at the end of that range, where it says 20 µm."""
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     axis = load_axis(bench_axis.lay_out(tmp_path))
     name = "temp_screw_c"
     spread = {f"{name}.low": 5.0, f"{name}.high": 9.0, f"{name}.least": 5.0, f"{name}.most": 9.0}

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from support.bench_axis import PASSWORDS
 from support.table_axis import lay_out_table_axis, store
 
 import sim_backends.virtual_drive
@@ -98,6 +97,7 @@ def test_a_table_switched_on_meanwhile_stops_the_next_corrected_motion(
         session.move_to(40.0)
 
 
+@pytest.mark.usefixtures("passwords")
 @pytest.mark.outside
 @pytest.mark.parametrize("verb", ["calibrate", "verify", "close-loop"])
 def test_no_verb_corrects_what_the_drive_corrects(
@@ -105,8 +105,6 @@ def test_no_verb_corrects_what_the_drive_corrects(
 ) -> None:
     axis, tables = lay_out_table_axis(tmp_path, "in process")
     store(axis, tables)
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     sealed = axis.tables_path.read_bytes()
 
     class SwitchedOn(VirtualCorrectionTable):

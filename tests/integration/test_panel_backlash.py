@@ -16,11 +16,7 @@ from support.panel import Person
 
 from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 KEY = PASSWORDS["HIL_KEY_PASSWORD"]
 FAR = QUICK.replace("run_in_mm = 0.2", "run_in_mm = 100.0") + "home = false\n"
 """A reversal that is a long way off: time to do something meanwhile."""
@@ -71,7 +67,7 @@ def test_from_start_to_written_and_back(person: Person, tmp_path: Path) -> None:
         mean = person.waits_for_a_figure("backlash.mean")
         assert mean == pytest.approx(sum(both) / 2.0, abs=0.011)
         assert mean == pytest.approx(53.0, abs=2.0)
-        person.waits(lambda: drawn_points(person, "backlash.plot") > 40, "the graph is drawn")
+        person.waits(lambda: sum(person.drawn("backlash.plot").values()) > 40, "the graph is drawn")
 
         # locked without the password: the button is not to be pressed, and a wrong password opens nothing
         person.waits(lambda: person.finds("backlash.start").is_enabled(), "the job is over")
@@ -175,13 +171,6 @@ def test_a_restarted_server_finds_what_was_left(person: Person, tmp_path: Path) 
         person.clicks("backlash.restore")
         person.agrees()
         person.waits(lambda: not note.exists(), "put back")
-
-
-def drawn_points(person: Person, plot: str) -> int:
-    """How many points a chart shows, asked of the chart itself."""
-    script = "const s = getElement(arguments[0]).chart.getOption().series; return s.reduce((n, one) => n + one.data.length, 0)"
-    number = person.finds(plot).get_attribute("id").removeprefix("c")  # type: ignore[union-attr]
-    return int(person.driver.execute_script(script, int(number)))
 
 
 def ground(person: Person) -> str:

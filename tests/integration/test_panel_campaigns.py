@@ -11,15 +11,11 @@ from selenium.webdriver.common.by import By
 from support import panel
 from support.bench_axis import PASSWORDS, lay_out
 from support.campaigns import campaign, wavy
-from support.panel import Person
+from support.panel import Person, figure
 
 from hil.records.rows import read_csv, to_csv
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 READING, KEY = PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"]
 PERIOD_MM, AMPLITUDE_UM = 10.0, 1.2
 UNCERTAIN = "\n[uncertainty]\ndevice_um = 0.1\ndevice_um_per_m = 0.5\nvariation_um = 0.4\n"
@@ -58,33 +54,9 @@ def goes_to(person: Person, page: str) -> None:
     person.goes_to(f"{person.driver.current_url.rpartition('/')[0]}/{page}")
 
 
-def names(person: Person) -> set[str]:
-    found = person.driver.execute_script(
-        "return [...document.querySelectorAll('[data-name]')].map(e => e.dataset.name)"
-    )
-    return set(found)
-
-
-def drawn(person: Person, name: str) -> dict[str, int]:
-    """How many points each curve of a chart has."""
-    script = """
-        const box = document.querySelector(`[data-name='${arguments[0]}']`);
-        const chart = box && window.getElement(Number(box.id.slice(1)))?.chart;
-        return Object.fromEntries((chart?.getOption()?.series ?? []).map(s => [s.name, s.data.length]));
-    """
-    return dict(person.driver.execute_script(script, name))
-
-
-def figures(person: Person, name: str) -> dict[str, float]:
-    """The first figure of each row of a table, by the row's heading."""
-    rows = person.driver.find_elements(By.CSS_SELECTOR, f"[data-name='{name}'] tbody tr")
-    cells = [[cell.text for cell in row.find_elements(By.TAG_NAME, "td")] for row in rows]
-    return {row[0]: float(row[1].replace("−", "-")) for row in cells if len(row) > 1}
-
-
 def waits_to_be_drawn(person: Person, name: str) -> dict[str, int]:
-    person.waits(lambda: drawn(person, name), f"{name} is drawn")
-    return drawn(person, name)
+    person.waits(lambda: person.drawn(name), f"{name} is drawn")
+    return person.drawn(name)
 
 
 def test_diagnosis_of_a_stored_campaign(person: Person, folder: Path) -> None:
@@ -102,23 +74,29 @@ def test_diagnosis_of_a_stored_campaign(person: Person, folder: Path) -> None:
     assert (position["Residual +"], position["Residual −"]) == (84, 84)
     assert position["what the effects found take away +"] >= 84  # at each row, or drawn finer
     assert waits_to_be_drawn(person, "diagnosis.finding.1.curves")["cyclic error +"] == 84
-    parameters = figures(person, "diagnosis.finding.1.parameters")
+    parameters = {row[0]: figure(row[1]) for row in person.table("diagnosis.finding.1.parameters")}
     assert parameters["Period, mm"] == pytest.approx(PERIOD_MM, abs=0.05)
     assert parameters["Amplitude, µm"] == pytest.approx(AMPLITUDE_UM, abs=0.15)
     parts = {"rivals", "confidence", "explanation", "parameters", "curves"}
-    assert {f"diagnosis.finding.1.{part}" for part in parts} <= names(person)
+    assert {f"diagnosis.finding.1.{part}" for part in parts} <= person.names()
     assert {
         "diagnosis.campaign",
         "diagnosis.peaks",
         "diagnosis.noise",
         "diagnosis.carriers",
         "diagnosis.next_run",
-    } <= names(person)
+    } <= person.names()
     assert "cosine" in person.reads("diagnosis.blind")
     assert not person.finds("loop.start").is_enabled()  # only the builder may store
-    assert {"loop.runs", "loop.rows", "loop.warm_up", "loop.feeds", "loop.stages", "loop.live", "loop.step"} <= names(
-        person
-    )
+    assert {
+        "loop.runs",
+        "loop.rows",
+        "loop.warm_up",
+        "loop.feeds",
+        "loop.stages",
+        "loop.live",
+        "loop.step",
+    } <= person.names()
     assert (folder / "X-campaign" / "verify-004" / "verify.diagnosis.json").exists()
 
 
@@ -168,7 +146,7 @@ def test_calibrated_stored_and_verified(person: Person, folder: Path) -> None:
     assert person.reads("calibrate.verdict") == "inside"
     assert "10 of 10" in person.reads("calibrate.outside")
     measured = read_csv(folder / "X-campaign" / "calibrate-001" / "measure.csv")
-    assert drawn(person, "calibrate.live")["as found, +"] == int(np.sum(measured.direction > 0))
+    assert person.drawn("calibrate.live")["as found, +"] == int(np.sum(measured.direction > 0))
     assert waits_to_be_drawn(person, "calibrate.curves")["as found +"] == 5
     assert all(f"{name} " in person.reads("calibrate.figures") for name in "AERM")
     assert person.reads("calibrate.figures").count("±") >= 8
@@ -176,15 +154,15 @@ def test_calibrated_stored_and_verified(person: Person, folder: Path) -> None:
     person.clicks("calibrate.correction")  # off
     person.clicks("calibrate.verify")
     person.agrees()
-    person.waits(lambda: "uncorrected +" in drawn(person, "calibrate.curves"), "it is measured without correction")
+    person.waits(lambda: "uncorrected +" in person.drawn("calibrate.curves"), "it is measured without correction")
     assert {
         "calibrate.seed",
         "calibrate.open",
         "calibrate.uncertainty",
         "calibrate.verified_band",
         "calibrate.progress",
-    } <= names(person)
-    assert "calibrate.resume.calibrate" not in names(person)  # nothing was interrupted
+    } <= person.names()
+    assert "calibrate.resume.calibrate" not in person.names()  # nothing was interrupted
     assert {path.name for path in (folder / "X-campaign").glob("*-00[1-9]")} >= {"calibrate-001", "uncorrected-001"}
 
 

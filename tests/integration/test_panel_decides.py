@@ -1,9 +1,8 @@
-"""What an operator decides by, in a real browser: choices hold, figures without meaning are not shown, switches say what runs, a start
-needs control, a page that is not there stops too. A line each of what was wrong once."""
+"""What an operator decides by, in a real browser: a file is refused before it is sent, a switch says what runs,
+a page that is not there stops too."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,18 +10,11 @@ import pytest
 from selenium.webdriver.common.by import By
 from support import panel
 from support.bench_axis import PASSWORDS, lay_out
-from support.campaigns import campaign, wavy
 from support.panel import Person
 
 from hil.parameters.job import LARGEST_BYTES
-from hil.records.rows import to_csv
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
-PICKS = 15
+pytestmark = panel.MARKS
 SEVERAL_LOOKS = 8
 """Looks of the page into the folder, two a second, after which a choice has to stand still."""
 COUNT_BEATS = """
@@ -36,29 +28,10 @@ COUNT_BEATS = """
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An axis with four campaigns; that of the second month has a diagnosis whose records could not be held out."""
-    directory = tmp_path_factory.mktemp("axis")
-    path = lay_out(directory, machine="typical", sections=12)
-    for month in (1, 2, 3, 4):
-        here = directory / "X-campaign" / f"verify-{month:03d}"
-        here.mkdir(parents=True)
-        (here / "campaign.json").write_text(json.dumps({"kind": "verify", "axis": "X"}))
-        (here / "finished").touch()
-        rows = campaign(lambda c, size=month: size * wavy(c), runs=2, targets=6, scatter=0.0, seed=month)
-        (here / "verify.csv").write_text(f"# begun 2026-0{month}-11T08:00:00+00:00\n{to_csv(rows)}")
-    figures = {"rms_um": 49.07, "peak_um": 304.0}
-    form = {"findings": [], "drawn": {}, "unexplained": False, "before": figures, "after": figures}
-    form["held_out"] = {"how": "leave-one-quarter-out", "rows": 24}
-    (directory / "X-campaign" / "verify-002" / "verify.diagnosis.json").write_text(json.dumps(form))
-    path.rename(directory / "X.toml")
-    return directory
-
-
-@pytest.fixture(scope="module")
-def address(folder: Path) -> Iterator[str]:
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     """A job takes minutes, so that it runs until it is stopped, however slow the host is."""
-    with panel.served(folder / "X.toml", "--pace", "0.2") as (found, _):
+    path = lay_out(tmp_path_factory.mktemp("axis"), machine="typical", sections=12)
+    with panel.served(path, "--pace", "0.2") as (found, _):
         yield found
 
 
@@ -69,53 +42,11 @@ def person() -> Iterator[Person]:
         one.goes_to("about:blank")
 
 
-def chooses(person: Person, begun: str) -> None:
-    """A campaign, by the date of its begin."""
-    person.chooses("diagnosis.campaign", begun)
-    person.waits(lambda: not person.driver.find_elements(By.CSS_SELECTOR, ".q-menu"), "the choice is closed")
-
-
 def hears(person: Person, beats: int) -> None:
     """Wait for so many messages of the server."""
     person.driver.execute_script(COUNT_BEATS)
     until = int(person.driver.execute_script("return window.count")) + beats
     person.waits(lambda: person.driver.execute_script("return window.count") >= until, f"{beats} messages")
-
-
-def test_every_choice_of_a_campaign_holds(person: Person, address: str) -> None:
-    """While the page reads the folder anew, before it and after it."""
-    person.goes_to(f"{address}axis/X/diagnosis")
-    person.waits(lambda: "2026-02-11" in person.reads("diagnosis.campaign"), "the diagnosed one is chosen")
-    held = 0
-    for number in range(PICKS):
-        begun = f"2026-0{1 + (number * 3 + 1) % 4}-11"
-        chooses(person, begun)
-        hears(person, 1 + 5 * (number % SEVERAL_LOOKS))
-        held += begun in person.reads("diagnosis.campaign")
-    assert held == PICKS
-
-
-def test_figures_that_mean_nothing_are_no_headline(person: Person, address: str) -> None:
-    person.goes_to(f"{address}axis/X/diagnosis")
-    person.waits(lambda: "2026-02-11" in person.reads("diagnosis.campaign"), "the diagnosed one is chosen")
-    person.waits(lambda: person.finds("diagnosis.not_held_out").is_displayed(), "it says why there is no figure")
-    page = person.driver.find_element(By.TAG_NAME, "body").text
-    assert "49.07" not in page
-    assert "304" not in page
-
-
-def test_without_control_nothing_is_lit_that_needs_it(person: Person, address: str) -> None:
-    for page, names in (
-        ("overview", ("overview.power_off", "overview.reset_fault")),
-        ("calibrate", ("calibrate.start", "calibrate.verify")),
-        ("diagnosis", ("diagnosis.start",)),
-        ("parameters", ("parameters.backup", "parameters.restore")),
-    ):
-        person.goes_to(f"{address}axis/X/{page}")
-        person.waits(lambda: person.finds("control.take").is_displayed(), "nobody holds control")
-        for name in names:
-            person.waits(lambda name=name: "take control first" in person.reads(name), f"{name} says why not")  # type: ignore[misc]
-            assert not person.finds(name).is_enabled()
 
 
 def test_a_file_that_is_no_set_or_too_large_is_refused_before_it_is_sent(

@@ -4,18 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from support import panel
 from support.backlash_axis import QUICK, lay_out
 from support.panel import Person
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 FAR = QUICK.replace("run_in_mm = 0.2", "run_in_mm = 100.0") + "home = false\n"
 """A reversal that is a long way off: time to do something meanwhile."""
 

@@ -20,11 +20,7 @@ from support.two_axes import lay_out_axes
 from hil.records.rows import to_csv
 from hil.ui.screen.texts import load
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 EXAMPLES = Path(__file__).parents[2] / "hil" / "examples"
 SIZES = ((1366, 768), (1920, 1080), (1024, 768))
 SMALLEST = SIZES[2]

@@ -13,11 +13,7 @@ from support import panel
 from support.machine import SimulatedMachine, machine
 from support.panel import WATCH, Person
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 WITHIN_S = 1.2
 TITLES = {"en": "NO LIVE DATA", "de": "KEINE LIVE-DATEN"}
 

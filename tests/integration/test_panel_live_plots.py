@@ -14,11 +14,7 @@ from support import panel
 from support.backlash_axis import QUICK, lay_out
 from support.panel import Person
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 FAR = QUICK.replace("run_in_mm = 0.2", "run_in_mm = 100.0") + "home = false\n"
 """A reversal that is a long way off, so that the axis moves until it is stopped."""
 CHART = "getElement(Number(document.querySelector(`[data-name='plot.overview']`).id.slice(1))).chart"

@@ -14,11 +14,7 @@ from support.two_axes import lay_out_axes
 from hil.axis.axis_file import load_axis
 from hil.correction.store import SealedStore
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 QUICK = "[lost_motion]\nplaces = 10\nruns = 2\nproof_moves = 6\n"
 WORN_UM = 53.0
 KEY, READING = PASSWORDS["HIL_KEY_PASSWORD"], PASSWORDS["HIL_PASSWORD"]

@@ -21,11 +21,7 @@ from hil.parameters.wiring import journal_of
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 KEY = PASSWORDS["HIL_KEY_PASSWORD"]
 FIRST = [entry.raw for entry in NEW.entries[:2]]
 COARSE = AXIS.replace("1_000_000", "500")
@@ -74,12 +70,6 @@ def axis(face: Face, tmp_path: Path) -> Iterator[Path]:
         yield path
 
 
-def rows(person: Person) -> list[list[str]]:
-    script = "return [...arguments[0].querySelectorAll('tbody tr')].map((row) => [...row.cells].map((cell) => cell.innerText))"
-    found = person.driver.execute_script(script, person.finds("parameters.table"))
-    return [row for row in found if any(row)]
-
-
 def comes_to(person: Person, outcome: str, differing: int) -> None:
     person.waits_to_read("parameters.outcome", outcome)
     person.waits_to_read("parameters.differing", str(differing))
@@ -118,9 +108,9 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.waits(lambda: "new" in person.reads("parameters.file"), "the set brought is chosen")
         person.clicks("parameters.compare")
         comes_to(person, "the drive differs", 2)
-        person.waits(lambda: len(rows(person)) == 2, "both differences")
+        person.waits(lambda: len(person.table("parameters.table")) == 2, "both differences")
         old = [entry.raw for entry in OLD.entries[:2]]
-        assert [(row[0], row[2], row[3]) for row in rows(person)] == [
+        assert [(row[0], row[2], row[3]) for row in person.table("parameters.table")] == [
             (f"p{number}", str(old[number]), str(FIRST[number])) for number in range(2)
         ]
         assert not person.finds("parameters.download").is_enabled()  # nothing is written without the builder
@@ -129,7 +119,9 @@ def test_a_set_from_backup_to_stored_and_what_was_cut_off(
         person.clicks("parameters.download")
         assert any("what differs is written and read back, all or nothing" in line for line in person.agrees())
         comes_to(person, "written and read back", 0)
-        person.waits(lambda: [row[5] for row in rows(person)] == ["written", "written"], "row by row")
+        person.waits(
+            lambda: [row[5] for row in person.table("parameters.table")] == ["written", "written"], "row by row"
+        )
         assert face.ram[:2] == FIRST
         person.clicks("parameters.verify")
         comes_to(person, "the drive holds the set", 0)
@@ -184,4 +176,4 @@ def is_read_after_a_restart(person: Person, axis: Path) -> None:
         person.goes_to(f"{address}axis/X/parameters")
         person.waits_to_read("parameters.outcome", "put back, as before")
         assert "before the last start of the screen" in person.reads("parameters.kept")
-        person.waits(lambda: [row[5] for row in rows(person)] == ["put back"], "row by row")
+        person.waits(lambda: [row[5] for row in person.table("parameters.table")] == ["put back"], "row by row")

@@ -12,11 +12,7 @@ from hil.correction.sealed import Cost, new_key, save_private_key, save_public_k
 from sim_backends.plant.touch_probe import Bore
 from sim_backends.probe import known_probe
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 SEED = 4
 BENCH = f"[bench]\nseed = {SEED}\n"
 FACE = '[face]\naxis = "y"\nx_mm = 20.0\ny_mm = 30.0\ndirection = -1\nsearch_mm = 1.0\n'

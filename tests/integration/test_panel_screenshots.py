@@ -13,11 +13,7 @@ from support.panel import Person
 from support.screenshots import complaints
 from support.two_axes import lay_out_axes
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 EXAMPLES = Path(__file__).parents[2] / "hil" / "examples"
 FRAME = (
     "stop",

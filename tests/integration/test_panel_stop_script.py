@@ -15,11 +15,7 @@ from selenium.webdriver.common.keys import Keys
 from support import panel
 from support.panel import Person
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 PAGE = """<!doctype html><meta charset="utf-8"><title>stop</title><link rel="icon" href="data:,">
 <link rel="stylesheet" href="/panel.css"><script src="/panel.js"></script>
 <div data-name="stop-lost" class="hil-lost" hidden>lost</div><button data-name="stop"><div>STOP</div></button>

@@ -20,11 +20,7 @@ from hil.correction.store import SealedStore
 from hil.correction.tables import SingleTable, TableSet
 from hil.records.rows import read_csv
 
-pytestmark = [
-    pytest.mark.outside,
-    pytest.mark.browser,
-    pytest.mark.skipif(bool(panel.WHY_NOT), reason=panel.WHY_NOT),
-]
+pytestmark = panel.MARKS
 READING, KEY = PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"]
 TYPED = "position_mm,plus_um,minus_um\n20,-1,2\n480,3,4\n"
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.bench_axis import PASSWORDS
 from support.table_axis import lay_out_table_axis, store
 
 import hil.drive_table.job
@@ -31,7 +30,7 @@ class Kept:
 
 
 @pytest.fixture
-def kept(monkeypatch: pytest.MonkeyPatch) -> Kept:
+def kept(passwords: None, monkeypatch: pytest.MonkeyPatch) -> Kept:
     """A drive that corrects by an old table; `hil` is called anew for each job, and the drive stays."""
     memory = Kept()
 
@@ -52,8 +51,6 @@ def kept(monkeypatch: pytest.MonkeyPatch) -> Kept:
             return memory.enabled
 
     monkeypatch.setattr(sim_backends.virtual_drive, "VirtualCorrectionTable", Remembering)
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     return memory
 
 
@@ -176,13 +173,10 @@ def test_wrong_options_are_one_line(
     assert (kept.raw, kept.enabled) == (OLD, True)
 
 
-def test_a_drive_without_a_table_says_what_to_write_where(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+@pytest.mark.usefixtures("passwords")
+def test_a_drive_without_a_table_says_what_to_write_where(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     axis, _ = lay_out_table_axis(tmp_path, "in process")
     axis.path.write_text(axis.path.read_text().replace('correction_table = "simulated_array"\n', ""))
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     for job in ("show", "download", "remove"):
         assert run(axis, job) == 2
         assert "correction_table" in capsys.readouterr().err

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support import bench_axis
 from support.two_axes import lay_out_bent
 
 from drivers.drive import DriveState
@@ -35,14 +34,10 @@ from sim_backends.bench import Bench
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.plant.parameters import bent_axis
 
+pytestmark = pytest.mark.usefixtures("passwords")
+
 SEED = 5  # of X (`support.two_axes`)
 Floats = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
-
-
-@pytest.fixture(autouse=True)
-def _passwords(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
 
 
 def true_um(at_mm: Floats) -> Floats:

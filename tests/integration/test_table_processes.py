@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.bench_axis import PASSWORDS
 from support.commissioning import prepare, wait_for
 from support.sim_process import sim
 from support.table_axis import store
@@ -33,11 +32,10 @@ def shown(axis: Path) -> tuple[bool, int]:
     return found["enabled"], found["points"]
 
 
+@pytest.mark.usefixtures("passwords")
 def test_one_process_writes_and_is_killed_and_others_find_what_was_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name, value in PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     path = tmp_path / "X.toml"
     wire = ("drive", "--interface", "slcan-pty", "--table", "simulated_domain", "--machine", "ideal")
     with sim(*wire, "--laser", "--axis-file", str(path)):

@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import pytest
 from selenium import webdriver
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
@@ -20,6 +21,8 @@ from selenium.webdriver.remote.webelement import WebElement
 
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
 WHY_NOT = "" if CHROMIUM and DRIVER else "needs Debian's chromium and chromium-driver"
+MARKS = [pytest.mark.outside, pytest.mark.browser, pytest.mark.skipif(bool(WHY_NOT), reason=WHY_NOT)]
+"""Of a file whose tests look at the screen in a browser."""
 PATIENCE_S = 90.0
 IN_FOLD = "ancestor::*[contains(concat(' ', @class, ' '), ' hil-fold ')]"
 _OPTIONS = (

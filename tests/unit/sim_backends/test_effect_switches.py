@@ -79,11 +79,6 @@ def test_abbe_shows_in_the_level() -> None:
     assert [error for error, _ in seen] == pytest.approx([tilt * arm_mm * 1e-3 for _, tilt in seen], abs=0.1)
 
 
-def test_local_wear(machine: Callable[..., float]) -> None:
-    assert machine("local_wear", lambda axis: go(axis, 310.0)) == pytest.approx(-SIZE_UM, rel=0.01)
-    assert machine("local_wear", lambda axis: go(axis, 200.0)) == 0.0
-
-
 def two_sides(axis: FeedAxis, x_mm: float) -> float:
     forward = go(axis, x_mm - 40.0, x_mm)
     return go(axis, x_mm + 40.0, x_mm) - forward
@@ -129,33 +124,6 @@ def test_thermal_drift_settles_at_its_size() -> None:
     assert seen == sorted(seen)
     assert seen[0] == pytest.approx(SIZE_UM * (1 - 2 / math.e), rel=0.02)  # two lags in series
     assert seen[-1] == pytest.approx(SIZE_UM, rel=0.01)
-
-
-def test_velocity_lag(machine: Callable[..., float]) -> None:
-    def moving(axis: FeedAxis) -> float:
-        go(axis, 100.0)
-        axis.step(10.5, 0.05)  # 100 mm/s
-        return axis.error_um
-
-    assert machine("velocity_lag", moving) == pytest.approx(-SIZE_UM, rel=0.05)
-    assert machine("velocity_lag", lambda axis: go(axis, 100.0)) == 0.0
-
-
-def test_load_and_cross_axis(machine: Callable[..., float]) -> None:
-    def loaded(axis: FeedAxis) -> float:
-        axis.load_kg = 100.0
-        error = go(axis, 0.0)
-        assert axis.sensors.readings.load_kg == pytest.approx(100.0, abs=2.0)
-        return error
-
-    def beside(axis: FeedAxis) -> float:
-        axis.other_axis_mm = 400.0
-        return go(axis, 0.0)
-
-    assert machine("load_deflection", loaded) == pytest.approx(-SIZE_UM, rel=0.1)
-    assert machine("load_deflection", lambda axis: go(axis, 250.0)) == 0.0
-    assert machine("cross_axis", beside) == pytest.approx(1.15 * SIZE_UM, rel=0.02)
-    assert machine("cross_axis", lambda axis: go(axis, 250.0)) == 0.0
 
 
 def test_datum_step_happens_now() -> None:

@@ -359,11 +359,8 @@ def test_the_bound_is_no_part_of_what_a_campaign_measures(tmp_path: Path) -> Non
     json.dumps(before)
 
 
-def test_typed_and_exported_tables_are_held_against_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+@pytest.mark.usefixtures("passwords")
+def test_typed_and_exported_tables_are_held_against_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     axis, typed, out = bench_axis.lay_out(tmp_path), tmp_path / "typed.csv", tmp_path / "x.comp"
     typed.write_text("position_mm,plus_um,minus_um\n0,0,0\n20,600,600\n260,600,600\n")
     for also in ([], ["--dry-run"]):

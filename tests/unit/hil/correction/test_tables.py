@@ -9,7 +9,6 @@ from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from typing import Any
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -731,24 +730,6 @@ def test_many_positions_give_what_single_ones_do(table: DirectionalTable, seed: 
     assert np.array_equal(found[at_nodes], np.where(direction > 0, *each)[at_nodes])
     with pytest.raises(InputError):
         table.at(position, np.where(position > first, 0.0, 1.0))
-
-
-@pytest.mark.parametrize(("count", "searches"), [(1, 2), (10, 2), (5000, 1)])
-def test_many_positions_are_searched_once_and_few_in_each_direction(
-    count: int, searches: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """One search saves time where there are many; few are to the last bit what the one direction's table gives."""
-    table = DirectionalTable(np.array([-5.0, 0.1, 7.0]), np.array([0.3, 2.7, -1.1]), np.array([4.9, -0.7, 0.9]))
-    position, direction = np.linspace(-6.0, 8.0, count), np.resize([-1.0, 1.0], count)
-    columns = {-1.0: table.minus_um, 1.0: table.plus_um}
-    expected = [
-        np.interp(place, table.position_mm, columns[way]) for place, way in zip(position, direction, strict=True)
-    ]
-    search = Mock(wraps=np.interp)
-    monkeypatch.setattr(np, "interp", search)
-    found = table.at(position, direction)
-    assert search.call_count == searches
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 if count > 10 else 0.0)
 
 
 def test_places_that_nearly_coincide_are_looked_up_one_direction_at_a_time() -> None:

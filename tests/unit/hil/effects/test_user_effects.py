@@ -188,12 +188,11 @@ def test_an_effect_whose_columns_are_not_there_is_nothing_to_complain_about() ->
     assert check_on(catalogue_with([OWN]), columns) is None
 
 
+@pytest.mark.usefixtures("passwords")
 def test_a_sealed_store_that_holds_one_is_read_with_its_file_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = bench_axis.lay_out(tmp_path)
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     form = Form("coolant_level", "offset", ("coolant_level_mm",), {"mean_mm": 100.0})
     term = Term(catalogue_with([OWN])[-1], form, (), (0.25,), ((0.01,),))
     tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable.constant(np.array([0.0, 100.0]), 1.0))

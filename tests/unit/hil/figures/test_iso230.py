@@ -7,8 +7,6 @@ from statistics import fmean, stdev
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from support.places import SHARED_DATA as DATA
 
 from drivers.errors import InputError
@@ -199,24 +197,6 @@ def test_a_worked_case_by_hand() -> None:
     )
 
 
-@given(shift_um=st.floats(-500, 500), seed=st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
-def test_moving_the_datum_changes_no_range_and_mirroring_swaps_directions(shift_um: float, seed: int) -> None:
-    rng = random.Random(seed)
-    records = as_records(random_campaign(rng), rng)
-    base = iso230(records)
-    moved = iso230(records.with_column("measured_mm", records.measured_mm + shift_um / 1000))
-    assert moved.figures() == pytest.approx(base.figures(), rel=1e-6, abs=1e-6)
-    mirrored = iso230(records.with_column("direction", -records.direction))
-    swap = {"_up": "_down", "_down": "_up"}
-    for name, value in base.figures().items():
-        other = next((name.replace(old, new) for old, new in swap.items() if name.endswith(old)), name)
-        if name != "B_mean":
-            assert mirrored.figures()[other] == pytest.approx(value), name
-    assert base.B_mean is not None
-    assert mirrored.B_mean == pytest.approx(-base.B_mean)
-
-
 def test_one_run_gives_no_repeatability_and_says_so() -> None:
     figures = iso230(simple([row for row in GRID if row[0] == 1]))
     assert (figures.R, figures.R_up, figures.A, figures.A_down, figures.s_up) == (None,) * 5
@@ -239,6 +219,7 @@ def test_one_direction_gives_no_reversal_and_says_so() -> None:
         ([row for row in GRID if row[:3] != (2, 1, 10.0)], r"target 10 mm has 2 run\(s\) in direction \+1, expected 3"),
         ([row for row in GRID if row[1:3] != (-1, 10.0)], r"target 10 mm was measured in direction \+1 only"),
         ([*GRID, (2, 1, 10.0, 10.0)], r"run 2 holds target 10 mm in direction \+1 twice"),
+        ([*GRID, (4, 1, 10.0, 10.0), (4, -1, 10.0, 10.0)], r"target 10 mm has 4 run\(s\) in direction -1, expected 3"),
     ],
 )
 def test_campaigns_the_formulas_do_not_fit_are_refused(rows: list[tuple[int, int, float, float]], says: str) -> None:
@@ -318,13 +299,6 @@ def test_rows_in_motion_are_counted_whichever_way_they_move() -> None:
     notes = iso230(simple(GRID, **columns)).notes
     assert any("2 row(s) were captured in motion (up to 7 mm/s)" in note for note in notes)
     assert not any("motion" in note for note in iso230(simple(GRID, velocity_mm_s=[0.0] * 18)).notes)
-
-
-def test_it_names_the_odd_target() -> None:
-    """Two targets with three runs, one with four: the odd one out is told, wherever it stands."""
-    extra = [(4, 1, 10.0, 10.0), (4, -1, 10.0, 10.0)]
-    with pytest.raises(InputError, match=r"target 10 mm has 4 run\(s\) in direction -1, expected 3"):
-        iso230(simple([*GRID, *extra]))
 
 
 def test_targets_that_differ_by_float_noise_are_one_target() -> None:

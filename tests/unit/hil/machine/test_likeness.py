@@ -35,10 +35,8 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Records]
 
 
 @pytest.fixture
-def source(calibrated: tuple[Path, Records], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[Path, Records]:
+def source(passwords: None, calibrated: tuple[Path, Records], tmp_path: Path) -> tuple[Path, Records]:
     """A copy of the campaigns of that axis, and its uncorrected rows."""
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
     return shutil.copytree(calibrated[0], tmp_path / "real") / "X-campaign", calibrated[1]
 
 

@@ -250,9 +250,8 @@ def test_a_resumed_procedure_goes_on(folder: Path, capsys: pytest.CaptureFixture
     assert "nothing to continue" in capsys.readouterr().err
 
 
-def test_with_the_stored_correction_in_force(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+@pytest.mark.usefixtures("passwords")
+def test_with_the_stored_correction_in_force(folder: Path) -> None:
     with hil.open("axis.toml") as axis:
         axis.calibrate(targets_mm=[20.0, 60.0, 100.0], dwell_s=0.1, reading_s=0.1)
         bare, corrected = (axis.run(Watched(), corrected=one) for one in (False, True))

@@ -31,9 +31,7 @@ SHORT = {"targets_mm": [10.0, 60.0, 110.0], "runs": 2, "dwell_s": 0.1, "reading_
 
 
 @pytest.fixture
-def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+def path(passwords: None, tmp_path: Path) -> Path:
     return bench_axis.lay_out(tmp_path / "X")
 
 
@@ -205,11 +203,8 @@ def test_the_other_jobs(path: Path, tmp_path: Path) -> None:
         assert "<html" in found.report(tmp_path / "backlash.html").read_text(encoding="utf-8")
 
 
-def test_the_table_of_the_drive_is_written_proven_and_taken_out(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name, value in bench_axis.PASSWORDS.items():
-        monkeypatch.setenv(name, value)
+@pytest.mark.usefixtures("passwords")
+def test_the_table_of_the_drive_is_written_proven_and_taken_out(tmp_path: Path) -> None:
     file, tables = lay_out_table_axis(tmp_path, "in process")
     store(file, tables)
     with hil.open(file.path) as axis:
