@@ -29,9 +29,8 @@ from hil.machine.events import Event
 from hil.probe.results import BoreResult, FeatureResult, ProbeCorrectionResult, ProbeResult, RunOutResult
 from hil.records.made_with import MadeWithError
 from hil.records.zero import ZeroError
-from hil.script.axes import open_axes
 from hil.script.axis import Axis
-from hil.script.open_axis import OpenAxis
+from hil.script.open_axis import OpenAxis, open_axes
 from hil.script.open_axis import open_axis as open
 from hil.script.own_table import OwnTable
 from hil.script.parameters import Parameters
