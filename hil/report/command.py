@@ -24,8 +24,7 @@ from hil.figures.uncertainty import Budget
 from hil.records.files import parse_json
 from hil.records.journal import FINISHED, name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
-from hil.report.command_options import add_parser
-from hil.report.issue import write_certificates
+from hil.report.issue import Order, builder_key, form, made_certificate, write_signed
 from hil.report.job import now, write_report
 from hil.ui.terminal.output import write_json
 
@@ -66,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
 
     axis = None if args.axis_file is None else load_axis(args.axis_file)
     if args.result is not None:
-        return write_certificates(args, axis, (), None)
+        return _certify(args, axis, (), None)
     paths = _record_files(args, axis)
     labels = args.label or _default_labels(paths)
     if len(labels) != len(paths):
@@ -86,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
         campaigns.append(one)
     diagnosis = None if args.diagnosis is None else _read_diagnosis(args.diagnosis)
     if args.out is None:
-        return write_certificates(args, axis, campaigns, diagnosis)
+        return _certify(args, axis, campaigns, diagnosis)
     document = ReportData(
         title=args.title,
         campaigns=tuple(campaigns),
@@ -103,7 +102,7 @@ def run(args: argparse.Namespace) -> int:
         signatures=signed,
         created=now(),
     )
-    failed = (args.certificate or args.dcc) and write_certificates(args, axis, campaigns, diagnosis)
+    failed = (args.certificate or args.dcc) and _certify(args, axis, campaigns, diagnosis)
     digest = write_report(document, Path(args.out), Path(args.pdf) if args.pdf else None)
     print(args.out)
     if args.pdf:
@@ -130,17 +129,26 @@ def run(args: argparse.Namespace) -> int:
     return 1 if bad or failed else 0
 
 
-def certify(axis_file: Path, records: Path, certificate: Path, key_password: str | None) -> None:
-    """Write the signed certificate, PDF, of a record file, as `hil report --certificate` does. Raises as `run`.
-
-    key_password: of the builder's key; None: as the verb finds it
-    """
-    parser = argparse.ArgumentParser()
-    add_parser(parser.add_subparsers())
-    if certificate.suffix.lower() != ".pdf":
-        raise InputError("is no name of a certificate, expected one ending in .pdf", path=certificate)
-    words = ["report", str(records), "--axis-file", str(axis_file), "--certificate", str(certificate)]
-    run(parser.parse_args(words, argparse.Namespace(key_password=key_password)))
+def _certify(
+    args: argparse.Namespace,
+    axis: AxisConfig | None,
+    campaigns: Sequence[NamedCampaign],
+    diagnosis: Mapping[str, Any] | None,
+) -> int:
+    """Write what --certificate and --dcc ask for; exit status 1 where the verdict is fail. Raises InputError as `made_certificate`."""
+    if axis is None:
+        raise InputError("a certificate needs --axis-file AXIS.toml, which names machine, drive and instrument")
+    if not (args.certificate or args.dcc):
+        raise InputError("--result is for a certificate, expected --certificate FILE.pdf or --dcc FILE.xml with it")
+    paths = [args.result] if args.result is not None else list(args.compare or args.records)
+    made = made_certificate(Order(axis, paths, campaigns, diagnosis, args.measured, args.limit))
+    key = builder_key(axis, args.key, args.key_password_file)
+    for name in write_signed(made, key, args.certificate, args.dcc):
+        print(name)
+    print(made.sentence)
+    if args.json and args.out is None:
+        write_json(args.json, form(made))
+    return 1 if made.verdict is not None and made.verdict.value == "fail" else 0
 
 
 def _joined(first: NamedCampaign, second: NamedCampaign) -> NamedCampaign:

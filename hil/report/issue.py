@@ -1,16 +1,17 @@
-"""Issues certificates: reads records or a result, writes paper and Digital Calibration Certificate, signs both."""
+"""Certificates made of records or of a result, and written as paper and as Digital Calibration Certificate, both signed."""
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import os
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from drivers.errors import InputError
 from drivers.files import read_bytes, read_text, replace_file
@@ -20,7 +21,6 @@ from hil.records.files import naming, parse_json
 from hil.records.journal import BEGUN, check_as_measured, name_of, simulated
 from hil.records.rows import parse_csv
 from hil.ui.terminal.options import KEY
-from hil.ui.terminal.output import write_json
 from hil.ui.terminal.passwords import password
 
 if TYPE_CHECKING:  # plots are slow to import
@@ -30,48 +30,50 @@ if TYPE_CHECKING:  # plots are slow to import
 _BEGUN = re.compile(rf"^# {BEGUN}(\S+?),?(?:\s|$)", re.MULTILINE)
 
 
-def write_certificates(
-    args: argparse.Namespace,
-    axis: AxisConfig | None,
-    campaigns: Sequence[NamedCampaign],
-    diagnosis: Mapping[str, Any] | None,
-) -> int:
-    """Write what --certificate and --dcc ask for; exit status 0, or 1 where the verdict is fail.
+@dataclass(frozen=True)
+class Order:
+    """What a certificate is made of.
 
-    Raises InputError where the axis file is missing or says too little, and what the certificate raises.
+    paths: files of the rows, or of a result; campaigns: the rows, none for a result; diagnosis: of a loop, which has two campaigns
+    measured: day of the measurement, where the files do not say it; limit_um: in place of the axis file's
     """
+
+    axis: AxisConfig
+    paths: Sequence[str]
+    campaigns: Sequence[NamedCampaign] = ()
+    diagnosis: Mapping[str, Any] | None = None
+    measured: str | None = None
+    limit_um: float | None = None
+
+
+def builder_key(
+    axis: AxisConfig, file: str | None = None, password_file: str | None = None, given: str | None = None
+) -> Ed25519PrivateKey:
+    """The signing key. file: in place of the axis file's; given: its password, None: of a file, the environment or the keyboard."""
+    usual = None if file else axis.store.key_password_file
+    what = "password of the builder's key"
+    secret = password(password_file, KEY, what, os.environ, usual=usual) if given is None else given
+    return load_private_key(file or axis.store.builder_key, secret)
+
+
+def write_signed(made: Certificate, key: Ed25519PrivateKey, pdf: str | None, dcc: str | None = None) -> list[str]:
+    """Write a certificate as PDF and as DCC, each with its signature beside it; the names written."""
     from hil.report.certificate import blocks  # noqa: PLC0415  (plots are slow to import)
 
-    if axis is None:
-        raise InputError("a certificate needs --axis-file AXIS.toml, which names machine, drive and instrument")
-    if not (args.certificate or args.dcc):
-        raise InputError("--result is for a certificate, expected --certificate FILE.pdf or --dcc FILE.xml with it")
-    made = _certificate(args, axis, campaigns, diagnosis)
-    key_file = args.key or axis.store.builder_key
-    usual = None if args.key else axis.store.key_password_file
-    secret = getattr(args, "key_password", None)  # a script's
-    if secret is None:
-        secret = password(args.key_password_file, KEY, "password of the builder's key", os.environ, usual=usual)
-    key = load_private_key(key_file, secret)
-    signer = fingerprint(key.public_key())
     written: dict[str, bytes] = {}
-    if args.certificate:
+    if pdf:
         from hil.ui.report.pdf import write  # noqa: PLC0415  (WeasyPrint is an extra and slow to import)
 
-        under = f"Certificate {made.number}"
-        written[args.certificate] = write(blocks(made, signer), made.title, under, f"certificate {made.number}")
-    if args.dcc:
+        signer, under = fingerprint(key.public_key()), f"Certificate {made.number}"
+        written[pdf] = write(blocks(made, signer), made.title, under, f"certificate {made.number}")
+    if dcc:
         from hil.report.dcc import to_xml  # noqa: PLC0415
 
-        written[args.dcc] = to_xml(made)
+        written[dcc] = to_xml(made)
     for name, content in written.items():
         replace_file(name, content)
         replace_file(f"{name}.sig", sign_detached(content, key))
-        print(name)
-    print(made.sentence)
-    if args.json and args.out is None:
-        write_json(args.json, form(made))
-    return 1 if made.verdict is not None and made.verdict.value == "fail" else 0
+    return list(written)
 
 
 def form(made: Certificate) -> dict[str, Any]:
@@ -96,37 +98,38 @@ def form(made: Certificate) -> dict[str, Any]:
     }
 
 
-def _certificate(
-    args: argparse.Namespace, axis: AxisConfig, campaigns: Sequence[NamedCampaign], diagnosis: Mapping[str, Any] | None
-) -> Certificate:
+def made_certificate(order: Order) -> Certificate:
+    """The certificate. Raises InputError for rows or a result that cannot be certified, and for an axis file that says too little."""
     from hil.report import certificate  # noqa: PLC0415  (plots are slow to import)
 
-    if args.result is not None:
-        with naming(args.result):
-            return certificate.of_result(_common(args, axis, [args.result]), _json(args.result))
-    paths = list(args.compare or args.records)
-    if diagnosis is not None:
+    paths, campaigns = order.paths, order.campaigns
+    if not campaigns:
+        (path,) = paths
+        with naming(path):
+            return certificate.of_result(_common(order, paths), _json(path))
+    if order.diagnosis is not None:
         if len(campaigns) != 2:
             raise InputError(
                 f"the certificate of a loop needs the rows before and after, {len(campaigns)} campaigns were given"
             )
-        return certificate.loop(_common(args, axis, paths), campaigns[0], campaigns[-1], diagnosis)
+        return certificate.loop(_common(order, paths), campaigns[0], campaigns[-1], order.diagnosis)
     last = paths[-campaigns[-1].files :]
     with naming(last[-1]):
-        return certificate.positioning(_common(args, axis, last), campaigns[-1])
+        return certificate.positioning(_common(order, last), campaigns[-1])
 
 
-def _common(args: argparse.Namespace, axis: AxisConfig, paths: Sequence[str]) -> Common:
+def _common(order: Order, paths: Sequence[str]) -> Common:
     from hil.report.certificate import Common  # noqa: PLC0415
     from hil.report.job import now  # noqa: PLC0415
 
-    names = [name_of(path) for path in paths]
+    axis, names = order.axis, [name_of(path) for path in paths]
     shown = names if len(set(names)) == len(names) else list(paths)
     files = {name: hashlib.sha256(read_bytes(path)).hexdigest() for name, path in zip(shown, paths, strict=True)}
-    doubts = () if args.result else tuple(doubt for path in paths if (doubt := check_as_measured(path, axis.name)))
-    begun, ended = _days(args.measured, paths)
+    rows = paths if order.campaigns else ()
+    doubts = tuple(doubt for path in rows if (doubt := check_as_measured(path, axis.name)))
+    begun, ended = _days(order.measured, paths)
     simulator = axis.drive.is_simulated or any(map(simulated, paths))
-    return Common(axis, files, begun, ended, now(), args.limit, doubts, simulator)
+    return Common(axis, files, begun, ended, now(), order.limit_um, doubts, simulator)
 
 
 def _days(stated: str | None, paths: Sequence[str]) -> tuple[date, date]:

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import io
 from abc import abstractmethod
 from collections.abc import Mapping
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.errors import CapabilityError, InputError
-from hil.axis.axis_file import AxisConfig, accuracy_of
+from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.desk.result import Result
 from hil.desk.rows import Rows
 from hil.figures.verdict import Accuracy
@@ -215,11 +213,16 @@ class VerificationResult(MeasuredResult):
         """Of the rows of this verification."""
         if self.campaign is None:
             return super().certificate(path)
-        from hil.report.command import certify  # noqa: PLC0415  (plots are slow to import)
+        from hil.desk.worker_process import Passes  # noqa: PLC0415
+        from hil.report.issue import Order, builder_key, made_certificate, write_signed  # noqa: PLC0415
+        from hil.report.job import named_campaign  # noqa: PLC0415  (plots are slow to import)
 
+        if Path(path).suffix.lower() != ".pdf":
+            raise InputError("is no name of a certificate, expected one ending in .pdf", path=path)
         rows = self.campaign / f"{'uncorrected' if self.tables is None else 'verify'}.csv"
-        with redirect_stdout(io.StringIO()):
-            certify(self.axis.path, rows, Path(path), self._passwords.key)
+        axis, campaign = load_axis(self.axis.path), named_campaign(Passes(rows.stem, (rows,)))
+        made = made_certificate(Order(axis, [str(rows)], [campaign]))
+        write_signed(made, builder_key(axis, given=self._passwords.key), str(path))
         return Path(path)
 
 
