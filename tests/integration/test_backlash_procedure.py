@@ -376,6 +376,12 @@ def test_over_canopen_the_written_amount_takes_the_lost_motion_away(tmp_path: Pa
 
 
 @pytest.mark.outside
+def test_the_same_over_modbus(tmp_path: Path, behind: BenchBehind) -> None:
+    _, left_um = measured_and_written(load_drive_axis(lay_out(tmp_path, "modbus-tcp")), behind)
+    assert abs(left_um) < 1.2
+
+
+@pytest.mark.outside
 def test_over_a_serial_line_of_a_drive_without_a_parameter(tmp_path: Path) -> None:
     axis = load_drive_axis(lay_out(tmp_path, "modbus-rtu"))
     assert axis.backlash is not None

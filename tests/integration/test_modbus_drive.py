@@ -143,19 +143,6 @@ def test_a_target_that_cannot_be_set_keeps_power_off() -> None:
         assert not r.servo.powered
 
 
-def test_everything_changed_is_put_back() -> None:
-    names = ("target_speed", "ramp")
-    with rig(VENDOR) as r:
-        with r.drive as drive:
-            before = drive.access.read(names)
-            drive.enable()
-            drive.start_move(5.0, 10.0)
-            drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
-            assert drive.access.read(names) != before
-        with r.drive as drive:
-            assert drive.access.read(names) == before
-
-
 def test_a_sample_is_one_request_per_table(each: Rig) -> None:
     with each.drive as drive:
         before = each.server.requests
@@ -407,16 +394,6 @@ def test_homing_attained_means_something_in_homing_mode_only() -> None:
         drive.start_homing()
         drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed again")
         assert drive.sample().position_load_mm == pytest.approx(0.0, abs=1e-3)
-
-
-def test_a_homing_that_fails_is_raised_once() -> None:
-    with rig(VENDOR) as r, r.drive as drive:
-        drive.parameters.write("origin_method", 11)  # no such method here
-        drive.enable()
-        drive.start_homing()
-        with pytest.raises(DriveFaultError, match="homing failed"):
-            drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
-        assert drive.sample().homed is False
 
 
 def show_attained_for(r: Rig, duration_s: float) -> None:

@@ -1,8 +1,11 @@
-"""Simulated time that follows a wall clock: keeps pace, catches up a little, forgets the rest."""
+"""What a simulated part served on a real interface does by itself: keeps pace with a wall clock, and goes to and fro."""
 
 from drivers.clock import NS_PER_S, Clock
 from sim_backends.clock import SimClock
-from sim_backends.serve import Pace, run_in_real_time
+from sim_backends.plant.axis import FeedAxis
+from sim_backends.plant.parameters import ideal_axis
+from sim_backends.serve import Pace, Shuttle, ShuttleParameters, run_in_real_time
+from sim_backends.servo import SimulatedServo
 
 
 class PretendedWall(Clock):
@@ -44,3 +47,31 @@ def test_a_short_absence_is_caught_up_and_a_long_one_forgotten() -> None:
 
     run_in_real_time(Pace(sim, wall), keep_running=running)
     assert 1.9 * NS_PER_S < sim.now_ns() < 2.1 * NS_PER_S
+
+
+# -- an axis that goes to and fro ----------------------------------------------------------------------------------
+def test_it_visits_every_step_both_ways_and_rests_there() -> None:
+    servo, clock = SimulatedServo(FeedAxis(ideal_axis())), SimClock()
+    shuttle = Shuttle(servo, ShuttleParameters(0, 3_000_000, 1_000_000, dwell_s=1.0))
+    clock.attach(servo.advance)
+    clock.attach(shuttle.advance)
+    visited: list[int] = []
+    for _ in range(1600):
+        clock.sleep_s(0.01)
+        at = servo.position_actual_counts
+        if servo.target_reached and at % 1_000_000 == 0 and (not visited or visited[-1] != at):
+            visited.append(at)
+    assert visited[:7] == [0, 1_000_000, 2_000_000, 3_000_000, 2_000_000, 1_000_000, 0]
+
+
+def test_a_fault_ends_it() -> None:
+    servo, clock = SimulatedServo(FeedAxis(ideal_axis())), SimClock()
+    clock.attach(servo.advance)
+    clock.attach(Shuttle(servo).advance)
+    clock.sleep_s(5.0)
+    servo.raise_fault(0x4210)
+    clock.sleep_s(2.0)
+    at = servo.position_actual_counts
+    servo.reset_fault()
+    clock.sleep_s(10.0)
+    assert servo.position_actual_counts == at

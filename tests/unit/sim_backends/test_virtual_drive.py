@@ -9,6 +9,7 @@ from drivers.drive import Capability, DriveState
 from drivers.errors import (
     CapabilityError,
     InputError,
+    MotionTimeoutError,
     StateError,
 )
 from drivers.scaling import AxisScaling
@@ -66,6 +67,11 @@ def test_a_capability_may_be_missing(bench: Bench) -> None:
         drive.enable()
         with pytest.raises(CapabilityError, match="homing"):
             drive.start_homing()
+
+
+def test_waiting_has_an_end(bench: Bench) -> None:
+    with drive_on(bench) as drive, pytest.raises(MotionTimeoutError, match="never not within 2 s"):
+        drive.wait_for(lambda sample: False, 2.0, "never")
 
 
 def test_a_gear_is_refused(bench: Bench) -> None:

@@ -24,6 +24,7 @@ from hil.calibration.job import calibration_plan, verification_plan
 from hil.desk.control import NotInControlError
 from hil.desk.desk import Desk
 from hil.desk.progress import Phase
+from hil.desk.unfinished import UnfinishedWork
 from hil.lost_motion import page as lost_motion
 from hil.lost_motion.job import measuring_plan
 from hil.records.journal import Campaign
@@ -219,3 +220,17 @@ def test_only_who_holds_control_discards_and_nothing_that_is_to_be_put_back(tmp_
     with pytest.raises(InputError, match="cannot be discarded"):
         desk.discard(desk.control.take("test"), settings)
     assert unfinished_work(axis, pages(None)) == (calibration, settings)
+
+
+# -- an interrupted calibration ------------------------------------------------------------------------------------
+def test_an_interrupted_calibration_is_found_until_it_is_finished(tmp_path: Path) -> None:
+    axis = load_axis(lay_out(tmp_path))
+    assert unfinished_work(axis, pages(None)) == ()
+    campaign = Campaign.numbered(axis.store.directory, axis.purpose("calibrate"), resume=False)
+    assert unfinished_work(axis, pages(None)) == ()  # nothing was measured
+    with campaign.rows("measure", ["run", "direction", "target_mm", "measured_mm"]):
+        pass
+    assert unfinished_work(axis, pages(None)) == (UnfinishedWork("calibrate", "calibrate", "calibrate-001"),)
+    campaign.finish()
+    (axis.store.directory / "backlash-before.json").write_text("{}")
+    assert unfinished_work(axis, pages(None)) == (UnfinishedWork("settings", "backlash", "X-campaign"),)

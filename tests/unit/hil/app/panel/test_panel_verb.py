@@ -1,14 +1,18 @@
 """What `hil panel` refuses before it listens anywhere."""
 
+import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+import uvicorn
 from support.bench_axis import lay_out
 
 from hil.app.main import main
-from hil.app.panel.server import Access
+from hil.app.panel.server import Access, Server
 
 
 @pytest.mark.parametrize(
@@ -89,3 +93,27 @@ def test_two_axes_of_one_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     path = str(lay_out(tmp_path))
     assert main(["panel", path, path]) == 2
     assert "expected a name for each" in capsys.readouterr().err
+
+
+# -- a signal ------------------------------------------------------------------------------------------------------
+class Axis:
+    """A desk whose stop needs a lock."""
+
+    def __init__(self) -> None:
+        self.lock, self.stopped = threading.Lock(), threading.Event()
+
+    def stop(self) -> None:
+        with self.lock:
+            self.stopped.set()
+
+
+@pytest.mark.parametrize("sig", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_every_axis_whatever_it_interrupts(sig: signal.Signals) -> None:
+    """It comes in the main thread, which may hold the lock just then."""
+    axes = [Axis(), Axis()]
+    server = Server(uvicorn.Config(cast(Any, None)), cast(Any, axes))
+    with axes[0].lock:
+        server.handle_exit(sig, None)
+        server.handle_exit(sig, None)
+    assert all(axis.stopped.wait(20.0) for axis in axes)
+    assert server.should_exit
