@@ -58,7 +58,7 @@ VERBS = {
     ),
     "probe": ("probe.command_options:add_parser", "a touch probe's run-out: measure, correct, centre a bore"),
     "params": (
-        "parameters.commands.params_options:add_parser",
+        "parameters.command_options:add_parser",
         "drive parameters: back up, compare, download all or nothing, prove, keep",
     ),
     "straightness": (

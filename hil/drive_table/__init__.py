@@ -2,15 +2,9 @@
 hold, its proof.
 """
 
-from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
-from hil.drive_table.quantise import DEVIATION_UM, DriveTable, drive_table, wanted_of
-
-__all__ = [
-    "DEVIATION_UM",
-    "DriveCurve",
-    "DriveTable",
-    "check_curve",
-    "drive_table",
-    "largest_deviation_um",
-    "wanted_of",
-]
+PROVERS = ("instrument", "drive", "nothing")
+"""What proves a table: the instrument, the value that the drive says it adds, or nothing."""
+TOLERANCE_UM = 1.0
+"""Default tolerance of the difference between drive and bridge in the proof, its uncertainty included, µm."""
+DEVIATION_UM = 0.5
+"""Default largest deviation of a drive's correction from the bridge's, µm."""

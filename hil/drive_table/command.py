@@ -6,15 +6,12 @@ import argparse
 import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
 
 from drivers.correction_table import TableDescription
 from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
-from hil.drive_table import DEVIATION_UM, DriveTable
 from hil.drive_table.change import Snapshot
 from hil.drive_table.job import (
     NOTE,
-    PROVERS,
     ConnectedAxis,
     Proving,
     Stored,
@@ -25,10 +22,10 @@ from hil.drive_table.job import (
     remove,
     require_description,
 )
-from hil.drive_table.proof import TOLERANCE_UM, Proof
+from hil.drive_table.proof import Proof
+from hil.drive_table.quantise import DriveTable
 from hil.machine.wiring import connected, connected_drive, predicted_table_s
 from hil.ui.terminal.axis_options import load_stored, open_store, tell_bench
-from hil.ui.terminal.options import add_axis_arguments, add_password_options, positive, seed
 from hil.ui.terminal.output import finish, number, print_facts, print_table, write_json
 from hil.ui.terminal.progress import terminal_progress
 
@@ -74,88 +71,7 @@ def print_proof(proof: Proof | None) -> None:
     print(f"{'measured' if proof.measured else 'by the drive’s own value'}: {proof.verdict}")
 
 
-EXAMPLE = """\
-example:
-  hil params table show X.toml                        what the drive holds, and whether it corrects by it
-  hil params table download X.toml --dry-run          what would be written, and how near it comes to the stored tables
-  hil params table download X.toml                    write, read back, prove on the machine, and switch it on
-  hil params table prove X.toml --prove-by drive      the same proof by the value the drive reports, without an instrument
-  hil params table remove X.toml                      switch it off and empty it
-
-The drive's table is described in a map: correction_table in [drive] of the axis file (CANopen), [drive.correction_table] of the
-register map (Modbus). The drive's correction and the bridge's are never in force together; calibrate, verify and close-loop refuse to
-start while the drive's is on. After any error, or Ctrl-C, the drive is restored. Exit status 1: not proven.
-"""
 _SHOWN_ROWS = 24
-
-
-def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Adds `table` to the jobs of `hil params`."""
-    parser = jobs.add_parser(
-        "table",
-        help="the correction table that the drive holds itself",
-        description="Write the stored correction into the drive's own table, prove it there, or take it out.",
-        epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parts = parser.add_subparsers(title="jobs", metavar="JOB", required=True)
-    for name, text, run in (
-        ("show", "what the drive holds", _show),
-        ("download", "write the stored tables into the drive, read back, prove, switch on", _download),
-        ("prove", "prove that the drive corrects as the bridge does", _prove),
-        ("remove", "switch the drive's correction off and empty its table", _remove),
-    ):
-        job = parts.add_parser(
-            name, help=text, description=text, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
-        )
-        add_axis_arguments(job)
-        if name in ("download", "prove"):
-            _add_proof_options(job, unproven=name == "download")
-        if name == "remove":
-            job.add_argument("--keep-contents", action="store_true", help="switch it off only")
-        job.set_defaults(run=run)
-
-
-def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
-    job.add_argument(
-        "--prove-by",
-        choices=[one for one in PROVERS if unproven or one != "nothing"],
-        default="instrument",
-        help="measure it (default), or read the value that the drive adds" + (", or neither" if unproven else ""),
-    )
-    job.add_argument(
-        "--positions",
-        type=_between(2, 200),
-        default=7,
-        metavar="N",
-        help="number of positions of the proof (default 7)",
-    )
-    job.add_argument("--runs", type=_between(1, 100), default=2, metavar="N", help="of each block (default 2)")
-    job.add_argument(
-        "--tolerance-um", type=positive, default=TOLERANCE_UM, metavar="UM", help="of the proof (default %(default)s)"
-    )
-    if unproven:
-        job.add_argument(
-            "--deviation-um",
-            type=positive,
-            default=DEVIATION_UM,
-            metavar="UM",
-            help="largest deviation of the drive's table from the stored ones (default %(default)s)",
-        )
-    job.add_argument("--seed", type=seed, default=1, help="chooses the positions (default 1)")
-    job.add_argument(
-        "--tables-only", action="store_true", help="leave fitted effects out, which a drive's table cannot hold"
-    )
-    add_password_options(job, key=False)
-
-
-def _between(low: int, high: int) -> Any:
-    def convert(text: str) -> int:
-        if not (text.isascii() and text.isdecimal() and low <= int(text) <= high):
-            raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number, {low} to {high}")
-        return int(text)
-
-    return convert
 
 
 def _proving(args: argparse.Namespace) -> Proving:
@@ -179,7 +95,8 @@ def _open(axis: AxisConfig, how: Proving) -> Iterator[ConnectedAxis]:
 
 
 # -- jobs ----------------------------------------------------------------------------------------------------------------
-def _show(args: argparse.Namespace) -> int:
+def show_table(args: argparse.Namespace) -> int:
+    """Say what the drive holds."""
     axis = load_drive_axis(args.axis)
     if args.dry_run:
         print(f"axis {axis.name}: would read the drive's table and move nothing")
@@ -202,7 +119,8 @@ def _show(args: argparse.Namespace) -> int:
     return 0
 
 
-def _download(args: argparse.Namespace) -> int:
+def download_table(args: argparse.Namespace) -> int:
+    """Write, read back, prove and switch on; exit status 1 where it is not proven."""
     axis, how = load_axis(args.axis), _proving(args)
     description = require_description(axis)
     stored = _stored(args, axis)
@@ -226,7 +144,8 @@ def _download(args: argparse.Namespace) -> int:
     return finish(args, found)
 
 
-def _prove(args: argparse.Namespace) -> int:
+def prove_table(args: argparse.Namespace) -> int:
+    """Prove what the drive holds; exit status 1 where it is not."""
     axis, how = load_axis(args.axis), _proving(args)
     stored = _stored(args, axis)
     if args.dry_run:
@@ -252,7 +171,8 @@ def _print_plan(how: Proving, axis: AxisConfig) -> None:
     )
 
 
-def _remove(args: argparse.Namespace) -> int:
+def remove_table(args: argparse.Namespace) -> int:
+    """Switch it off, and empty it."""
     axis = load_drive_axis(args.axis)
     if args.dry_run:
         print(

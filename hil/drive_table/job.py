@@ -15,15 +15,7 @@ from hil.correction.formats.common import tables_only
 from hil.correction.store import compensation_in_force
 from hil.correction.tables import DirectionalTable
 from hil.desk.job import Tell
-from hil.drive_table import (
-    DEVIATION_UM,
-    DriveCurve,
-    DriveTable,
-    check_curve,
-    drive_table,
-    largest_deviation_um,
-    wanted_of,
-)
+from hil.drive_table import DEVIATION_UM, PROVERS, TOLERANCE_UM
 from hil.drive_table.change import (
     Snapshot,
     changing,
@@ -34,7 +26,9 @@ from hil.drive_table.change import (
     snapshot,
     zero_note,
 )
-from hil.drive_table.proof import TOLERANCE_UM, Proof, ProofMotion, prove_by_drive, prove_by_instrument
+from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
+from hil.drive_table.proof import Proof, ProofMotion, prove_by_drive, prove_by_instrument
+from hil.drive_table.quantise import DriveTable, drive_table, wanted_of
 from hil.drive_table.result import DriveTableResult
 from hil.machine.events import Listener, silent
 from hil.machine.session import AxisSession
@@ -46,7 +40,6 @@ from hil.records.made_with import MadeWith, MadeWithError
 from hil.records.zero import Zero, read_zero
 
 NOTE = "drive-table-before.json"
-PROVERS = ("instrument", "drive", "nothing")
 
 
 @dataclass(frozen=True)

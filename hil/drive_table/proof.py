@@ -20,8 +20,9 @@ from drivers.correction_table import CorrectionTable
 from drivers.errors import BridgeError, CapabilityError
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable
-from hil.drive_table import DriveCurve
+from hil.drive_table import TOLERANCE_UM
 from hil.drive_table.change import held_table
+from hil.drive_table.curve import DriveCurve
 from hil.machine.events import Event, Listener, silent
 from hil.machine.measure import bidirectional_steps, measure
 from hil.machine.one_correction import switch_table
@@ -30,8 +31,6 @@ from hil.machine.supervisor import Supervisor
 from hil.records.journal import Campaign
 from hil.records.rows import UM_PER_MM, Floats, Records
 
-TOLERANCE_UM = 1.0
-"""Default tolerance of the difference, its uncertainty included, µm."""
 _ORDER = ("bridge-1", "drive-1", "drive-2", "bridge-2")
 _SETTLE_S = 0.1  # after a motion, before a drive is asked what it adds
 

@@ -27,11 +27,10 @@ from hil.correction.formats.common import (
     thinned,
 )
 from hil.correction.tables import DirectionalTable
+from hil.drive_table import DEVIATION_UM
 from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
 from hil.records.rows import UM_PER_MM, Floats
 
-DEVIATION_UM = 0.5
-"""Default largest deviation of a drive's correction from the bridge's, µm."""
 _ROUNDING_SLACK_UM = 1e-6
 
 

@@ -17,3 +17,6 @@ All modules but `formats` and `wiring` use `drivers.raw_parameters` alone, so th
         for report in download(targets, store=True):
             print(report.drive, report.ending.value)
 """
+
+FORMATS = ("toml", "dcf", "cdcf")
+"""Forms of a set, by the suffix of its file."""

@@ -15,11 +15,10 @@ from drivers.canopen.whole_pdo import PdoImage, pdo_at, wholes
 from drivers.errors import InputError
 from drivers.files import read_bytes, replace_file
 from drivers.raw_parameters import DriveIdentity, RawParameters
+from hil.parameters import FORMATS
 from hil.parameters.preflight import match_set
 from hil.parameters.set_file import ParameterSet, SetEntry, object_address, object_key, read_set, write_set
 from hil.records.files import naming
-
-FORMATS = ("toml", "dcf", "cdcf")
 
 
 def format_of(path: Path) -> str:

@@ -23,9 +23,10 @@ from hil.correction.store import bound_tables
 from hil.desk.job import Job, Workplace
 from hil.desk.plan import Plan, Write
 from hil.machine.events import Event
+from hil.parameters import FORMATS
 from hil.parameters.compare import Comparison, compare
 from hil.parameters.download import download
-from hil.parameters.formats import FORMATS, read_any, write_any
+from hil.parameters.formats import read_any, write_any
 from hil.parameters.journal import Download, Journal
 from hil.parameters.listing import Listing, listing_of
 from hil.parameters.outcome import BackedUp, keep_outcome

@@ -35,9 +35,9 @@ from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.job import run_loop
 from hil.diagnosis.loop.procedure import Turning
 from hil.doctor.procedure import doctor
-from hil.drive_table import drive_table, wanted_of
 from hil.drive_table.change import held_table
 from hil.drive_table.proof import prove_by_instrument
+from hil.drive_table.quantise import drive_table, wanted_of
 from hil.effects import ALL
 from hil.lost_motion.circle.figures import Circle
 from hil.lost_motion.circle.procedure import drive_circle, prepare

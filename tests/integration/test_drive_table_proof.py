@@ -16,9 +16,9 @@ from drivers.scaling import AxisScaling
 from hil.axis.axis_file import AxisConfig
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableSet
-from hil.drive_table import drive_table, wanted_of
 from hil.drive_table.change import held_table
 from hil.drive_table.proof import Proof, ProofMotion, prove_by_drive, prove_by_instrument
+from hil.drive_table.quantise import drive_table, wanted_of
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import connected, connected_drive

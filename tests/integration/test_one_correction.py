@@ -15,8 +15,8 @@ from hil.app.main import main
 from hil.correction.compensation import Compensation
 from hil.correction.tables import TableSet
 from hil.doctor.procedure import doctor
-from hil.drive_table import drive_table, wanted_of
 from hil.drive_table.change import changing, held_table
+from hil.drive_table.quantise import drive_table, wanted_of
 from hil.machine.replay import recorded
 from hil.machine.session import AxisSession
 from hil.machine.wiring import connected

@@ -22,7 +22,7 @@ from support.sim_process import SimProcess
 from drivers.clock import WallClock
 from hil.app.main import main
 from hil.correction.sealed import new_key, save_public_key, sign_detached
-from hil.parameters.commands import jobs
+from hil.parameters import command as jobs
 from hil.parameters.set_file import SetEntry, read_set, write_set
 from hil.parameters.snapshot import Backup
 from sim_backends.canopen_drive import EDS

@@ -16,7 +16,7 @@ from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from hil.correction.bound import CorrectionBound
 from hil.correction.tables import DirectionalTable
-from hil.drive_table import DriveCurve, check_curve, largest_deviation_um
+from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
 
 COUNTS, TWENTIETHS = Quantity("counts", 1.0, -100_000, 100_000), Quantity("um", 0.05, -1000, 1000)
 PLAIN = TableDescription(

@@ -16,7 +16,8 @@ from drivers.scaling import AxisScaling
 from hil.correction.bound import CAREFUL, CorrectionBound
 from hil.correction.compensation import Columns, Compensation
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
-from hil.drive_table import DriveCurve, DriveTable, check_curve, drive_table, largest_deviation_um, wanted_of
+from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
+from hil.drive_table.quantise import DriveTable, drive_table, wanted_of
 from hil.records.rows import Floats
 from sim_backends.own_table import OwnTable, TableForm
 

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
-from functools import partial
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.raw_parameters import WireTime
-from hil.axis.axis_file import DriveAxis
-from hil.parameters.commands.params import ask_person, load_axes, progress_bars, sets_of
-from hil.parameters.commands.params_options import add_job
+from hil.axis.axis_file import DriveAxis, load_drive_axis
+from hil.machine.events import Event
 from hil.parameters.compare import Comparison, Side
-from hil.parameters.formats import FORMATS
 from hil.parameters.job import (
     back_up_axes,
     compare_axes,
+    load_set,
     new_backup_path,
     recover_axes,
     set_before_last,
@@ -29,45 +29,55 @@ from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.snapshot import Backup
+from hil.parameters.tasks import Progress
 from hil.parameters.wiring import connected_parameters, unconnected_parameters
 from hil.ui.terminal.axis_options import tell_bench
 from hil.ui.terminal.output import Align, print_table, times, write_json
+from hil.ui.terminal.progress import terminal_progress
 
 
-def add_jobs(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add every job but `table`."""
-    _add_reading(jobs)
-    _add_writing(jobs)
-    _add_recovering(jobs)
+# -- what the jobs share -----------------------------------------------------------------------------------------------
+def load_axes(args: argparse.Namespace) -> list[DriveAxis]:
+    """The axis files of a command line."""
+    return [load_drive_axis(path) for path in args.axes]
+
+
+def sets_of(args: argparse.Namespace, axes: Sequence[DriveAxis]) -> list[ParameterSet]:
+    """The set of each axis. Raises InputError unless `--set` is given once or once for each axis, SealedError for a wrong
+    signature."""
+    if not args.sets:
+        raise InputError("--set FILE is missing, expected the set to work with")
+    if len(args.sets) not in (1, len(axes)):
+        raise InputError(f"--set is given {times(len(args.sets))}, expected once, or once for each axis ({len(axes)})")
+    paths = args.sets * len(axes) if len(args.sets) == 1 else args.sets
+    return [
+        load_set(path, axis, signed=args.signed, pdos=not args.without_pdos)
+        for path, axis in zip(paths, axes, strict=True)
+    ]
+
+
+def ask_person(what: str) -> None:
+    """Ask the person at the machine to do something, on stderr."""
+    print(f"hil: {what}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def progress_bars() -> Iterator[Progress]:
+    """A progress bar for each stage and drive, on a terminal."""
+    with terminal_progress() as listener:
+
+        def show(stage: str, drive: str, done: int, total: int) -> None:
+            listener(Event(f"{stage}, {drive}", "", done, total))
+
+        yield show
 
 
 # -- backup, diff and verify -------------------------------------------------------------------------------------------
 _MOST_DIFFERENCES = 60
 
 
-def _add_reading(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    backup = add_job(jobs, "backup", "read every parameter that can be put back, into a file", _backup)
-    backup.add_argument(
-        "--out",
-        metavar="FILE",
-        action="append",
-        default=[],
-        help="the file to write; given once for each axis (default: <name>.params.toml)",
-    )
-    backup.add_argument("--format", choices=FORMATS, help="default: by the file's name, else toml")
-    backup.add_argument("--all", action="store_true", dest="everything", help="also the read-only parameters")
-    for name, what, run in (
-        ("diff", "what the drive holds differently from a set", _diff),
-        ("verify", "whether the drive holds a set", _verify),
-    ):
-        parser = add_job(jobs, name, what, run, sets="the set to compare with")
-        parser.add_argument(
-            "--any-version", action="store_true", help="also a set read with another revision or firmware"
-        )
-
-
 # -- backup ------------------------------------------------------------------------------------------------------------
-def _backup(args: argparse.Namespace) -> int:
+def backup(args: argparse.Namespace) -> int:
     """Exit status 0: every drive was read; 1: one was not."""
     axes = load_axes(args)
     paths = _outputs(args, axes)
@@ -111,7 +121,7 @@ def _form(path: Path, backup: Backup) -> dict[str, object]:
 
 
 # -- diff and verify ---------------------------------------------------------------------------------------------------
-def _diff(args: argparse.Namespace) -> int:
+def diff(args: argparse.Namespace) -> int:
     """Exit status 0: compared, with or without differences; 1: a drive did not answer."""
     comparisons = _compared(args)
     for comparison in comparisons:
@@ -120,7 +130,7 @@ def _diff(args: argparse.Namespace) -> int:
     return 1 if any(comparison.error for comparison in comparisons) else 0
 
 
-def _verify(args: argparse.Namespace) -> int:
+def verify(args: argparse.Namespace) -> int:
     """Exit status 0: every drive holds its set; 1: one does not, or did not answer."""
     comparisons = _compared(args)
     for comparison in comparisons:
@@ -164,44 +174,7 @@ def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
 
 
 # -- download, store and restore ---------------------------------------------------------------------------------------
-def _add_writing(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    parser = add_job(jobs, "download", "write a set to the drive: all or nothing, read back", _download, sets="the set")
-    parser.add_argument(
-        "--dry-run",
-        action="store_true",
-        help="check the set against the drive's file (EDS, map) and predict the time; nothing is sent",
-    )
-    parser.set_defaults(own_plan=True)
-    store = add_job(
-        jobs,
-        "store",
-        "have the drive keep its parameters when it is switched off",
-        _store,
-        sets="what it must hold for that",
-    )
-    restore = add_job(
-        jobs, "restore", "write back what was there before the last download, or a backup", _restore, sets="a backup"
-    )
-    restore.add_argument(
-        "--factory",
-        action="store_true",
-        help="the maker's defaults instead (1011h), and a restart; backs up and asks first",
-    )
-    restore.add_argument("--yes", action="store_true", help="with --factory: do not ask")
-    for job in (parser, restore):
-        job.add_argument("--store", action="store_true", help="have the drive keep it, after all of it was proven")
-    for job in (parser, store, restore):
-        job.add_argument(
-            "--audit", action="store_true", help="after storing, start the drive anew and read all of it again"
-        )
-        job.add_argument("--any-version", action="store_true", help="also a set read with another revision or firmware")
-    for job in (parser, restore):
-        job.add_argument(
-            "--other-eds", action="store_true", help="also with a maker's file (eds) of another vendor or product"
-        )
-
-
-def _download(args: argparse.Namespace) -> int:
+def download(args: argparse.Namespace) -> int:
     """Exit status 0: every drive holds its set; 1: they were refused, put back, or are unfinished."""
     axes = load_axes(args)
     sets = sets_of(args, axes)
@@ -266,7 +239,7 @@ def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence
 
 
 # -- store -------------------------------------------------------------------------------------------------------------
-def _store(args: argparse.Namespace) -> int:
+def store(args: argparse.Namespace) -> int:
     """Exit status 0: every drive held its set and stored it; 1: one does not hold it, or did not store."""
     axes = load_axes(args)
     sets = sets_of(args, axes) if args.sets else [set_of_last(axis) for axis in axes]
@@ -286,7 +259,7 @@ def _store(args: argparse.Namespace) -> int:
 
 
 # -- restore -----------------------------------------------------------------------------------------------------------
-def _restore(args: argparse.Namespace) -> int:
+def restore(args: argparse.Namespace) -> int:
     """Exit status 0: every drive holds the earlier values; 1: they were refused, put back, or are unfinished."""
     axes = load_axes(args)
     if args.factory:
@@ -346,14 +319,14 @@ def _agreed(axes: Sequence[DriveAxis]) -> bool:
 
 
 # -- resume and rollback -----------------------------------------------------------------------------------------------
-def _add_recovering(jobs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    add_job(jobs, "resume", "finish a download that was cut off", partial(_recover, forward=True))
-    add_job(
-        jobs,
-        "rollback",
-        "take back a download that was cut off: everything as it was before",
-        partial(_recover, forward=False),
-    )
+def resume(args: argparse.Namespace) -> int:
+    """Finish a download that was cut off. Exit status as of `_recover`."""
+    return _recover(args, forward=True)
+
+
+def rollback(args: argparse.Namespace) -> int:
+    """Take back a download that was cut off. Exit status as of `_recover`."""
+    return _recover(args, forward=False)
 
 
 def _recover(args: argparse.Namespace, *, forward: bool) -> int:
