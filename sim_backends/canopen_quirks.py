@@ -250,7 +250,6 @@ class ProfiledSlave(StrictSlave):
         lead_m: float = 0.010,
         **others: Any,
     ) -> None:
-        self.drive_profile = profile
         self.switches = profile.switches
         objects = profile.over(maker)
         self._told = profile.units(objects, lead_m)
@@ -300,10 +299,10 @@ class ProfiledSlave(StrictSlave):
         super().on_frame(cob_id, data, now_ns)
 
 
-def profile_counts(profile: DriveProfileFile, bench: BenchParameters, maker: MakerFile | None = None) -> int:
+def profile_counts(profile: DriveProfileFile, bench: BenchParameters) -> int:
     """Position counts per motor revolution of a drive by a profile on a bench."""
     lead_m = bench.plant.screw.lead_mm / 1000.0
-    return round(1.0 / profile.units(profile.over(maker), lead_m).position_rev)
+    return round(1.0 / profile.units(profile.over(), lead_m).position_rev)
 
 
 def machine_objects(profile: DriveProfileFile, bench: BenchParameters) -> dict[Key, int]:

@@ -51,7 +51,6 @@ class SdoServer:
         self._toggle = 0
         self._position = 0
         self._block_size = BLOCK
-        self._segments: list[bytes] = []
         self._expected = 1
         self._use_crc = False
 
@@ -212,7 +211,7 @@ class SdoServer:
             raise RefusedError(0x06010002)
         self._announced = int.from_bytes(request[4:], "little") if request[0] & 0x02 else None
         self._use_crc = bool(request[0] & 0x04)
-        self._segments, self._expected, self._block_size = [], 1, BLOCK
+        self._expected, self._block_size = 1, BLOCK
         self._buffer = b""
         self._step = self._block_download_segment
         return [bytes((0xA4,)) + self._mux + bytes((self._block_size, 0, 0, 0))]

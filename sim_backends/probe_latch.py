@@ -69,12 +69,11 @@ class ProbeLatch:
         probe.at_counts = self._servo.position_actual_counts
         probe.level = contact(probe.at_counts)
 
-    def set_input(self, number: int, level: bool, position_counts: int | None = None) -> None:
-        """Switch input 1 or 2 now, at the present position or at one known more exactly, counts."""
+    def set_input(self, number: int, level: bool) -> None:
+        """Switch input 1 or 2 now."""
         probe = self.channels[number - 1]
-        position = self._servo.position_actual_counts if position_counts is None else position_counts
         if level != probe.level:
-            self._edge(probe, level, position)
+            self._edge(probe, level, self._servo.position_actual_counts)
 
     def pulse(self, number: int) -> None:
         """A short pulse on input 1 or 2, now: both its edges."""

@@ -44,14 +44,13 @@ def run_in_real_time(
     pace: Pace,
     *,
     keep_running: Callable[[], bool],
-    period_s: float = 0.005,
     idle: Callable[[float], None] | None = None,
 ) -> None:
-    """Keep the pace until `keep_running()` returns False (called every `period_s` seconds).
+    """Keep the pace until `keep_running()` returns False (called every 5 ms).
 
     idle: called with the seconds left until the next call, instead of sleeping; may return early.
     """
-    wall, period_ns = pace.wall, round(period_s * NS_PER_S)
+    wall, period_ns = pace.wall, 5_000_000
     next_ns = wall.now_ns()
     while keep_running():
         pace.catch_up()

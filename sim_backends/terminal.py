@@ -28,7 +28,6 @@ class WireCounters:
 
     samples: int = 0
     dropped_lines: int = 0
-    late_arrivals: int = 0
 
 
 class InstrumentTerminal:
@@ -108,7 +107,6 @@ class InstrumentTerminal:
         deadline = time.monotonic() + _ARRIVAL_BOUND_S
         while self._waiting_bytes() < expected_bytes:
             if time.monotonic() > deadline:
-                self.counters.late_arrivals += 1
                 return
             os.sched_yield()
 

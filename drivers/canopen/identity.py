@@ -18,15 +18,13 @@ NO_PROFILE = 0
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity objects 1018h and 1008h to 100Ah."""
+    """Identity objects 1018h and 1008h."""
 
     vendor_id: int
     product_code: int
     revision: int
     serial: int
     device_name: str
-    hardware: str
-    software: str
 
 
 def read_identity(sdo: SdoClient) -> Identity:
@@ -44,8 +42,6 @@ def read_identity(sdo: SdoClient) -> Identity:
         sdo.read_if_shown(cia301.REVISION, 0),
         sdo.read_if_shown(cia301.SERIAL_NUMBER, 0),
         _text(sdo, cia301.DEVICE_NAME),
-        _text(sdo, cia301.HARDWARE_VERSION),
-        _text(sdo, cia301.SOFTWARE_VERSION),
     )
 
 

@@ -18,7 +18,7 @@ from drivers.canopen.pdo import (
     Pdo,
     PdoSpec,
 )
-from drivers.canopen.pdo_lint import Cycle, Dictionary, Finding, lint, refuse_errors
+from drivers.canopen.pdo_lint import Dictionary, Finding, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.whole_pdo import KEPT, PdoImage, read_otherwise, read_pdo, wanted_image, write_pdo
 from drivers.cia402.objects import DataType, Entry
@@ -106,7 +106,7 @@ class PdoSetup:
         own_id = image.numbers[False, COB_ID] & ID_MASK in {spec.cob_id for spec in self.wanted}
         return own_id or (not image.pdo.transmit and not commanded.isdisjoint(image.mapped or ()))
 
-    def lint(self, dictionary: Dictionary | None = None, cycle: Cycle | None = None) -> list[Finding]:
+    def lint(self, dictionary: Dictionary | None = None) -> list[Finding]:
         """Findings on the wanted PDOs together with those that remain."""
         replaced = {spec.pdo for spec in self.wanted} | {image.pdo for image in self.in_the_way()}
         staying = []
@@ -115,12 +115,11 @@ class PdoSetup:
                 with suppress(InputError):  # an impossible PDO of the drive itself is not checked
                     staying.append(spec_of(image))
         dictionaries = None if dictionary is None else {self._node_id: dictionary}
-        return lint({self._node_id: [*self.wanted, *staying]}, dictionaries=dictionaries, cycle=cycle)
+        return lint({self._node_id: [*self.wanted, *staying]}, dictionaries=dictionaries)
 
     def apply(
         self,
         dictionary: Dictionary | None = None,
-        cycle: Cycle | None = None,
         *,
         refuse: bool = True,
         interrupted: Callable[[], None] = lambda: None,
@@ -132,7 +131,7 @@ class PdoSetup:
         restored, when the drive does not accept a PDO.
         """
         self.survey()
-        findings = self.lint(dictionary, cycle)
+        findings = self.lint(dictionary)
         if refuse:
             refuse_errors(findings)
         try:

@@ -172,7 +172,9 @@ class Running(Generic[T]):
 
 @dataclass(frozen=True)
 class Meant:
-    """What a write was to do, for the case that its answer is lost. reads_back, same: as of `SdoClient.write_bytes`."""
+    """What a write was to do, for the case that its answer is lost.
+
+    reads_back: the object shows what was written; a command such as 1010h does not. same: as of `SdoClient.write_bytes`."""
 
     talk: Conversation
     data: bytes
@@ -322,19 +324,15 @@ class SdoClient:
         *,
         block: bool = False,
         timeout_s: float | None = None,
-        reads_back: bool = True,
         same: Same = operator.eq,
     ) -> None:
-        """Write an object and make sure of the outcome. reads_back: the object shows what was written; a command such as 1010h does
-        not.
+        """Write an object and make sure of the outcome.
 
         same: how bytes read back are compared after a lost answer; without a type they have to be equal, and as many.
         Raises AbortError when the device refuses, NoAnswerError when it did not answer and reading back shows (or cannot
         show) that the value was not written, LinkLostError.
         """
-        self.run(
-            self.writing(index, subindex, data, block=block, timeout_s=timeout_s, reads_back=reads_back, same=same)
-        )
+        self.run(self.writing(index, subindex, data, block=block, timeout_s=timeout_s, same=same))
 
     def run(self, steps: Steps[T]) -> T:
         """Run an access to its end, as `CanLine.run` does for several nodes."""

@@ -254,15 +254,15 @@ def download(talk: Conversation, data: bytes) -> Transfer[None]:
         talk.moved(len(part))
 
 
-def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LARGEST_ANNOUNCED) -> Transfer[bytes]:
-    """Read an object of at most `most` bytes by blocks of up to `block_size` segments of seven bytes, with CRC where the server has
+def block_upload(talk: Conversation, most: int = LARGEST_ANNOUNCED) -> Transfer[bytes]:
+    """Read an object of at most `most` bytes by blocks of up to `MAX_BLOCK` segments of seven bytes, with CRC where the server has
     it.
 
     Segments lost within a block are requested again by acknowledging the last one in sequence. Raises AbortError,
     ProtocolError.
     """
     threshold = 0  # no change to segmented transfer is offered; a server that changes nevertheless is followed
-    request = bytes((0xA4,)) + talk.mux + bytes((block_size, threshold, 0, 0))
+    request = bytes((0xA4,)) + talk.mux + bytes((MAX_BLOCK, threshold, 0, 0))
     answer = yield from talk.initiate(request, answers=(BLOCK_UPLOAD, UPLOAD))
     if answer[0] & 0xE0 == UPLOAD:
         return (yield from _rest_of_upload(talk, answer, most))
@@ -274,14 +274,14 @@ def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LA
     in_vain = 0
     while not finished:
         room = SEGMENT * segments_of(most) - len(data)
-        came, answer, finished = yield from _block(talk, frames, answer, block_size, room)
+        came, answer, finished = yield from _block(talk, frames, answer, room)
         data += came
         if len(came) > room:
             talk.too_many(size, most)
         in_vain = 0 if came else in_vain + 1
         if in_vain > MORE_BLOCKS:
             talk.fail(f"no segment in its place in {in_vain} blocks", ABORT_SEQUENCE)
-        frames = (bytes((0xA2, len(came) // SEGMENT, block_size, 0, 0, 0, 0, 0)),)
+        frames = (bytes((0xA2, len(came) // SEGMENT, MAX_BLOCK, 0, 0, 0, 0, 0)),)
     answer = yield from talk.segment(*frames, after=answer)
     if answer[0] & 0xE3 != 0xC1:
         talk.fail(f"end of block upload is command {answer[0]:02X}h", ABORT_COMMAND)
@@ -298,9 +298,7 @@ def block_upload(talk: Conversation, block_size: int = MAX_BLOCK, most: int = LA
     return bytes(data)
 
 
-def _block(
-    talk: Conversation, ask: Frames, before: bytes, block_size: int, room: int
-) -> Transfer[tuple[bytes, bytes, bool]]:
+def _block(talk: Conversation, ask: Frames, before: bytes, room: int) -> Transfer[tuple[bytes, bytes, bool]]:
     """Request a block: (its segments up to the first that is missing, the frame that ended it, whether the object's last is there).
 
     before: the server's frame before. It comes first where it was delivered twice, and would look like a block that lost all others.
@@ -313,7 +311,7 @@ def _block(
         ask = ()
         sequence = answer[0] & 0x7F if len(answer) == 8 else 0
         talk.raise_abort(answer)
-        if sequence == 0 or (answer == before and expected == 1 < block_size):  # sequence numbers begin at 1
+        if sequence == 0 or (answer == before and expected == 1):  # sequence numbers begin at 1
             talk.skip(answer)
             continue
         before = answer
@@ -322,7 +320,7 @@ def _block(
             expected += 1
             finished = bool(answer[0] & 0x80)
             talk.moved(SEGMENT)
-        if finished or sequence >= block_size or answer[0] & 0x80 or len(data) > room:
+        if finished or sequence >= MAX_BLOCK or answer[0] & 0x80 or len(data) > room:
             return bytes(data), answer, finished
 
 

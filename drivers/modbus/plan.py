@@ -81,9 +81,9 @@ class WireCost:
         return cls(2 * silent_interval_s(baud) + drive_s, _BITS_PER_CHARACTER / baud, 2 * 3)  # unit id and CRC each way
 
     @classmethod
-    def tcp(cls, round_trip_s: float = 0.001, bits_per_s: float = 100e6, drive_s: float = 0.0) -> WireCost:
-        """Ethernet; 20+20+7+18 bytes of IP, TCP, MBAP and Ethernet each way. Times in s."""
-        return cls(round_trip_s + drive_s, 8 / bits_per_s, 2 * 65)
+    def tcp(cls, round_trip_s: float = 0.001) -> WireCost:
+        """Ethernet of 100 Mbit/s; 20+20+7+18 bytes of IP, TCP, MBAP and Ethernet each way. Times in s."""
+        return cls(round_trip_s, 8 / 100e6, 2 * 65)
 
     def exchange_s(self, request_pdu: int, reply_pdu: int) -> float:
         """Seconds for one request and its reply, given the bytes of their PDUs."""

@@ -54,12 +54,12 @@ class LostMotion:
     elements: tuple[tuple[float, float], ...] = ()
 
     @classmethod
-    def spread(cls, seed: int, amount_um: float, distance_mm: float, elements: int = 6) -> LostMotion:
+    def spread(cls, seed: int, amount_um: float, distance_mm: float) -> LostMotion:
         """`amount_um` (µm) in all, half of it built up within about `distance_mm`, the rest over up to some six times that."""
         if amount_um == 0.0:
             return cls()
         rng = random.Random(seed)
-        travels = [distance_mm * (0.3 + 6.0 * ((i + rng.random()) / elements) ** 1.5) for i in range(elements)]
+        travels = [distance_mm * (0.3 + 6.0 * ((i + rng.random()) / 6) ** 1.5) for i in range(6)]
         shares = [rng.uniform(0.7, 1.3) for _ in travels]
         scale = amount_um / sum(shares)
         return cls(tuple((t, s * scale) for t, s in zip(travels, shares, strict=True)))

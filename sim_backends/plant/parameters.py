@@ -16,6 +16,9 @@ from sim_backends.plant.screw import Screw, typical_screw
 from sim_backends.plant.shapes import SmoothShape
 from sim_backends.plant.thermal import ThermalParameters
 
+LENGTH_MM = 500.0
+"""Travel of an axis that is not told another, mm."""
+
 
 @dataclass(frozen=True)
 class Friction:
@@ -50,7 +53,7 @@ class PlantParameters:
     """
 
     seed: int = 1
-    length_mm: float = 500.0
+    length_mm: float = LENGTH_MM
     begin_mm: float = 0.0
     screw: Screw = field(default_factory=Screw)
     backlash: Backlash = field(default_factory=Backlash)
@@ -67,12 +70,12 @@ class PlantParameters:
     sensors: SensorParameters = field(default_factory=SensorParameters)
 
 
-def ideal_axis(length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
-    """An axis without any error; length in mm, lead in mm per revolution, as below."""
-    return PlantParameters(length_mm=length_mm, screw=Screw(lead_mm=lead_mm))
+def ideal_axis() -> PlantParameters:
+    """An axis without any error."""
+    return PlantParameters()
 
 
-def geometric_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
+def geometric_axis(seed: int, length_mm: float = LENGTH_MM, lead_mm: float = 10.0) -> PlantParameters:
     """Pitch error and backlash only, at constant temperature: what a bidirectional table corrects completely."""
     rng = random.Random(seed)
     return PlantParameters(
@@ -83,18 +86,17 @@ def geometric_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -
     )
 
 
-def typical_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
+def typical_axis(seed: int) -> PlantParameters:
     """A machining centre's axis in a workshop: pitch, cyclic error, backlash that varies, lost motion, some heat."""
     rng = random.Random(seed)
     return PlantParameters(
         seed=seed,
-        length_mm=length_mm,
-        screw=typical_screw(rng.getrandbits(32), length_mm, lead_mm),
+        screw=typical_screw(rng.getrandbits(32), LENGTH_MM),
         backlash=Backlash(
             rng.uniform(5.0, 9.0),
             slope=rng.uniform(-0.15, 0.15),
-            middle_mm=length_mm / 2,
-            half_travel_mm=length_mm / 2,
+            middle_mm=LENGTH_MM / 2,
+            half_travel_mm=LENGTH_MM / 2,
             gap_fraction=0.15,
             stribeck=0.12,
         ),
@@ -108,19 +110,18 @@ def typical_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> 
     )
 
 
-def worn_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
+def worn_axis(seed: int) -> PlantParameters:
     """An axis with about 53 µm of lost motion, all of it wind-up of a soft drive train against the friction of a plain guideway."""
     rng = random.Random(seed)
     return PlantParameters(
         seed=seed,
-        length_mm=length_mm,
-        screw=typical_screw(rng.getrandbits(32), length_mm, lead_mm),
+        screw=typical_screw(rng.getrandbits(32), LENGTH_MM),
         friction=Friction(table_permille=0.0),
         drive_train=DriveTrain(),
     )
 
 
-def bent_axis(seed: int, length_mm: float = 500.0, lead_mm: float = 10.0) -> PlantParameters:
+def bent_axis(seed: int) -> PlantParameters:
     """A geometric axis whose guideway leaves the straight line by 12 µm to either side."""
-    shape = SmoothShape.random(random.Random(f"straightness {seed}").getrandbits(32), 12.0, length_mm)
-    return replace(geometric_axis(seed, length_mm, lead_mm), guideway=Guideway(straightness_um=shape))
+    shape = SmoothShape.random(random.Random(f"straightness {seed}").getrandbits(32), 12.0, LENGTH_MM)
+    return replace(geometric_axis(seed), guideway=Guideway(straightness_um=shape))

@@ -78,14 +78,13 @@ def typical_screw(
     lead_mm: float = 10.0,
     *,
     pitch_peak_um: float = 12.0,
-    lead_error_um_per_m: float = 18.0,
     cyclic_um: float = 1.2,
 ) -> Screw:
     """A ground screw of class IT3 to IT5, not compensated; lengths in mm, amplitudes in µm."""
     rng = random.Random(seed)
     return Screw(
         lead_mm,
-        SmoothShape.random(rng.getrandbits(32), pitch_peak_um, length_mm, slope_per_mm=lead_error_um_per_m / 1000.0),
+        SmoothShape.random(rng.getrandbits(32), pitch_peak_um, length_mm, slope_per_mm=0.018),
         CyclicError(
             amplitude_um=cyclic_um,
             period_mm=lead_mm,

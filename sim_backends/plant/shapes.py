@@ -34,16 +34,14 @@ class SmoothShape:
     points: Points = ()
 
     @classmethod
-    def random(
-        cls, seed: int, peak: float, length_mm: float, *, slope_per_mm: float = 0.0, waves: int = 5, finest: float = 2.5
-    ) -> SmoothShape:
-        """A shape whose waves alone deviate by at most `peak` within 0…length; at most `finest` waves per length."""
+    def random(cls, seed: int, peak: float, length_mm: float, *, slope_per_mm: float = 0.0) -> SmoothShape:
+        """A shape whose five waves alone deviate by at most `peak` within 0…length; at most 2.5 waves per length."""
         if peak == 0.0:
             return cls(slope_per_mm)
         rng = random.Random(seed)
         raw = []
-        for order in range(1, waves + 1):
-            cycles = finest * (order - rng.random() * 0.8) / waves
+        for order in range(1, 6):
+            cycles = 2.5 * (order - rng.random() * 0.8) / 5
             raw.append((rng.gauss(0.0, 1.0) / order**0.7, math.tau * cycles / length_mm, rng.uniform(0.0, math.tau)))
         unscaled = cls(0.0, tuple(raw))
         largest = max(abs(unscaled.value(length_mm * i / 200)) for i in range(201))
