@@ -2,7 +2,7 @@
 
     set_file     a set as a TOML file                  formats    a set as DCF or concise DCF
     snapshot     a backup: what drives hold, as sets   compare    a set against what a drive holds
-    preflight    checks before the first write         predict    bus time of a download
+    preflight    checks before the first write, and the time on the bus
     transaction  one drive: write in order, read back  tasks      many drives through the same stages, side by side
     download     the stages of a download              journal    record of a download, for recovery
     recover      resume and rollback                   restart    audit after a restart, factory defaults

@@ -23,8 +23,15 @@ from hil.parameters.job import (
     set_of_last,
     write_axes,
 )
-from hil.parameters.predict import Prediction, predict, seconds_together
-from hil.parameters.preflight import Objection, left_out, match_set, notes_of_file
+from hil.parameters.preflight import (
+    Objection,
+    Prediction,
+    left_out,
+    match_set,
+    notes_of_file,
+    predict,
+    seconds_together,
+)
 from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet

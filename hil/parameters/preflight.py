@@ -1,14 +1,15 @@
-"""Checks of a set before the first write: every entry is checked and every objection is listed. Does no I/O."""
+"""Checks of a set before the first write: every entry is checked, every objection is listed. And how long it takes. Does no I/O."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from drivers.drive import WITHOUT_POWER, DriveState
 from drivers.errors import InputError, ProtocolError
 from drivers.parameters import ParameterKind
-from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters
+from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, WireTime
 from hil.correction.store import BoundTables
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.records.made_with import same
@@ -263,3 +264,36 @@ def notes_of_units(drive: RawParameters, tables: BoundTables, wanted: Sequence[W
                 f" refused with {value:g}: calibrate again"
             )
     return notes
+
+
+# -- the time on the bus -----------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Prediction:
+    """One drive's share. look: reading every entry once; write: writing and reading back all of them."""
+
+    drive: str
+    look: WireTime
+    write: WireTime
+
+    @property
+    def whole(self) -> WireTime:
+        """look and write together."""
+        return self.look + self.write
+
+    def as_json(self) -> dict[str, Any]:
+        """As `--json` writes it."""
+        return {"drive": self.drive, "look": vars(self.look), "write": vars(self.write)}
+
+
+def predict(drive: RawParameters, wanted: Sequence[Wanted]) -> Prediction:
+    """Prediction of a download that writes all of them, from the sizes of its accesses. Nothing is sent or measured."""
+    every = [(each.address, each.data) for each in wanted]
+    return Prediction(drive.name, drive.cost(every, []), drive.cost(every, every))
+
+
+def seconds_together(costs: Sequence[WireTime], answer_s: float = 0.0) -> float:
+    """Duration at most, s, for drives served side by side on one bus. answer_s: a drive's own time for one answer, s.
+
+    It is the longer of the bus time of all drives and the bus and answer time of the slowest drive.
+    """
+    return max(sum(cost.seconds for cost in costs), *(cost.seconds + answer_s * cost.answers for cost in costs), 0.0)

@@ -19,8 +19,7 @@ from support.parameter_rigs import ParameterRig, maker_eds, maker_keys, maker_se
 
 from drivers.raw_parameters import WireTime
 from hil.parameters.download import download
-from hil.parameters.predict import Prediction, predict, seconds_together
-from hil.parameters.preflight import match_set
+from hil.parameters.preflight import Prediction, match_set, predict, seconds_together
 from hil.parameters.report import Ending
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.transaction import Target

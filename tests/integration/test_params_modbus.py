@@ -20,8 +20,7 @@ from drivers.modbus.wire import Request
 from drivers.raw_parameters import Pause, Steps
 from hil.parameters.download import download
 from hil.parameters.journal import Journal
-from hil.parameters.predict import predict
-from hil.parameters.preflight import match_set
+from hil.parameters.preflight import match_set, predict
 from hil.parameters.recover import recover
 from hil.parameters.report import Ending, Verdict
 from hil.parameters.set_file import ParameterSet, SetEntry
