@@ -1,5 +1,7 @@
 """Fixtures that more than one corner of the tests uses; anything of a single corner lives there."""
 
+from __future__ import annotations
+
 import gc
 import os
 import signal
@@ -7,11 +9,15 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
 from support.bench_axis import PASSWORDS
 
 from hil.correction.sealed import Cost, save_private_key
+
+if TYPE_CHECKING:
+    from support.panel import Person
 
 Until = Callable[[Callable[[], bool], str], None]
 VCAN = ("vcan0", "vcan1")
@@ -139,6 +145,15 @@ def quick_flush(request: pytest.FixtureRequest) -> Iterator[None]:
         if not any(BENCH in path.parents for path in {item.path for item in request.session.items}):
             patch.setattr(os, "fsync", lambda _handle: None)
         yield
+
+
+@pytest.fixture(scope="module")
+def person() -> Iterator[Person]:
+    """A headless browser that knows nothing of an earlier one."""
+    from support import panel  # noqa: PLC0415  (selenium is slow to import)
+
+    with panel.browser() as one:
+        yield one
 
 
 @pytest.fixture

@@ -70,6 +70,11 @@ class Site:
     def store(self) -> SealedStore:
         return SealedStore.of(self.axis, READING, KEY)
 
+    def calibrate(self) -> None:
+        """On a connection of its own."""
+        with self.machine() as machine:
+            run_calibration(machine, self.store())
+
 
 Make = Callable[..., Site]
 
@@ -202,8 +207,7 @@ def test_a_homing_that_ended_in_another_frame_is_refused_and_not_believed_later(
 def test_a_later_verb_on_a_new_connection(site: Make, homing: str, verb: str) -> None:
     """Not a resume: 37 is refused all the same, once the axis has a zero; the rest stays in it."""
     here = site(homing)
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     zero, was_at = read_zero(here.axis.zero_path), here.motor_mm()
     here.moved()
     with here.machine() as machine:
@@ -271,8 +275,7 @@ def test_killed_between_homing_and_the_first_row_a_fresh_axis_is_not_fresh_any_m
 
 def test_new_zero_is_the_way_out_and_the_old_tables_are_refused(site: Make) -> None:
     here = site("37")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     old: Compensation = here.store().load()
     here.bench.servo.power_on()
     here.bench.servo.move_absolute(0, 1e7, 1e7)  # somebody brings it to its zero
@@ -333,8 +336,7 @@ def move_zero(here: Site, homing: str, mm: float) -> None:
 )
 def test_a_reference_position_found_elsewhere_is_refused(site: Make, homing: str, verb: str) -> None:
     here = site(homing)
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     before = rows_of(here)
     move_zero(here, homing, 0.3)
     with here.machine() as machine, pytest.raises(ZeroError, match=r"from where it was .*at most 100 µm"):
@@ -345,8 +347,7 @@ def test_a_reference_position_found_elsewhere_is_refused(site: Make, homing: str
 @pytest.mark.parametrize(("mm", "refused"), [(0.09, False), (0.11, True)])
 def test_how_far_is_the_axis_files_to_say(site: Make, mm: float, refused: bool) -> None:
     here = site("17")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     move_zero(here, "17", mm)
     with here.machine() as machine:
         if refused:
@@ -361,8 +362,7 @@ def test_an_instrument_that_was_switched_off_leaves_the_drives_zero_as_the_only_
     site: Make, homing: str, refused: bool
 ) -> None:
     here = site(homing)
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     here.bench.laser._sequence = 0  # it counts anew
     here.bench.laser._runaway += 123_456  # from elsewhere
     zero = read_zero(here.axis.zero_path)
@@ -381,8 +381,7 @@ def test_an_instrument_that_was_switched_off_leaves_the_drives_zero_as_the_only_
 
 def test_a_beam_that_was_broken_meanwhile_is_for_a_person_to_say(site: Make) -> None:
     here = site("1")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     here.bench.laser._runaway += 123_456  # its samples are numbered on
     for zeroed in (False, True):
         with here.machine() as machine:
@@ -400,8 +399,7 @@ def test_a_beam_that_was_broken_meanwhile_is_for_a_person_to_say(site: Make) -> 
 # -- what is kept, and what it is held against -------------------------------------------------------------------------------
 def test_campaigns_and_tables_keep_the_zero(site: Make) -> None:
     here = site("17")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     zero = read_zero(here.axis.zero_path)
     assert zero is not None
     assert zero.reference is not None
@@ -417,8 +415,7 @@ def test_campaigns_and_tables_keep_the_zero(site: Make) -> None:
 
 def test_another_drive_is_another_zero(site: Make) -> None:
     here = site("1")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     text = here.axis.zero_path.read_text()
     here.axis.zero_path.write_text(text.replace('"serial": ', '"serial": 1'))
     with here.machine() as machine, pytest.raises(ZeroError, match="was made with drive"):
@@ -427,8 +424,7 @@ def test_another_drive_is_another_zero(site: Make) -> None:
 
 def test_another_homing_is_another_zero(site: Make) -> None:
     here = site("1")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     path = here.axis.path
     path.write_text(
         path.read_text().replace("method = 1, home_position_mm = 0.0", "method = 17, home_position_mm = -5.0")
@@ -531,8 +527,7 @@ def test_a_beam_that_comes_back_within_a_job_gives_the_instrument_a_new_zero(sit
 
 def test_an_axis_without_its_instrument_is_looked_after_as_well(site: Make) -> None:
     here = site("37")
-    with here.machine() as machine:
-        run_calibration(machine, here.store())
+    here.calibrate()
     was_at = here.motor_mm()
     with (
         connected_drive(here.axis) as drive,

@@ -23,12 +23,6 @@ FAR = QUICK.replace("run_in_mm = 0.2", "run_in_mm = 100.0") + "home = false\n"
 SPEED_MM_S = 30.0
 
 
-@pytest.fixture(scope="module")
-def person() -> Iterator[Person]:
-    with panel.browser() as one:
-        yield one
-
-
 def axis_file(directory: Path, face: str = "canopen", backlash: str = QUICK) -> Path:
     """With a builder's pair beside it, travelling at SPEED_MM_S."""
     path = lay_out(directory, face, backlash)

@@ -35,13 +35,6 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         yield found
 
 
-@pytest.fixture(scope="module")
-def person() -> Iterator[Person]:
-    with panel.browser() as one:
-        yield one
-        one.goes_to("about:blank")
-
-
 def hears(person: Person, beats: int) -> None:
     """Wait for so many messages of the server."""
     person.driver.execute_script(COUNT_BEATS)

@@ -19,12 +19,6 @@ TITLES = {"en": "NO LIVE DATA", "de": "KEINE LIVE-DATEN"}
 
 
 @pytest.fixture(scope="module")
-def person() -> Iterator[Person]:
-    with panel.browser() as one:
-        yield one
-
-
-@pytest.fixture(scope="module")
 def axis(tmp_path_factory: pytest.TempPathFactory) -> Iterator[SimulatedMachine]:
     """Whose parts outlive every test."""
     with machine(tmp_path_factory.mktemp("machine")) as one:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -28,12 +27,6 @@ ELEMENTS = {
     *(f"circle.{name}" for name in ("title", "other", "radius", "feed", "clockwise", "start", "step", "polar", "ring")),
     *("circle.fallen", "circle.bumps", "circle.messages", "stop", "control.who", "header.state"),
 }
-
-
-@pytest.fixture(scope="module")
-def person() -> Iterator[Person]:
-    with panel.browser() as one:
-        yield one
 
 
 def is_shown(person: Person) -> None:

@@ -38,12 +38,6 @@ ELEMENTS = {
 }
 
 
-@pytest.fixture(scope="module")
-def person() -> Iterator[Person]:
-    with panel.browser() as one:
-        yield one
-
-
 class Face(FortyFace):
     """With a position, so that somebody can look at it."""
 

@@ -89,12 +89,6 @@ def serving() -> Iterator[Machine]:
             thread.join()
 
 
-@pytest.fixture(scope="module")
-def person() -> Iterator[Person]:
-    with panel.browser() as one:
-        yield one
-
-
 @pytest.fixture
 def machine(person: Person) -> Iterator[Machine]:
     with serving() as one:

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.errors import InputError, StateError
+from drivers.errors import InputError
 from hil.records.journal import Begun, Campaign, RowJournal
 from hil.records.rows import read_csv
 
@@ -175,17 +175,6 @@ def test_temporary_files_left_over_by_others_are_no_concern(tmp_path: Path) -> N
     assert campaign.last_time_s() == 0.0
 
 
-def test_a_second_process_is_kept_out_and_let_in_afterwards(tmp_path: Path) -> None:
-    path = tmp_path / "measure.csv"
-    with RowJournal(path, NAMES) as journal:
-        journal.append(row(0))
-        with pytest.raises(InputError, match="another process"):
-            RowJournal(path, NAMES)
-        journal.append(row(1))
-    with RowJournal(path, NAMES) as journal:
-        assert len(journal) == 2
-
-
 # -- a disk that does not take it ---------------------------------------------------------------------------------------
 
 
@@ -285,14 +274,6 @@ def test_a_row_that_could_not_be_read_back_is_never_written(tmp_path: Path, name
             journal.append({**row(1), name: value})
         assert len(journal) == 1
     assert numbers(path) == [0]
-
-
-def test_a_closed_journal_takes_nothing(tmp_path: Path) -> None:
-    journal = RowJournal(tmp_path / "measure.csv", NAMES)
-    journal.close()
-    journal.close()
-    with pytest.raises(StateError, match="closed"):
-        journal.append(row(0))
 
 
 # -- kill -9 --------------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from support.corpus import check_complete, check_refused, expectations
 
 from drivers.errors import InputError
 from drivers.files import decode_text
-from hil.records.rows import LARGEST, OPTIONAL, REQUIRED, Records, concatenate, format_row, parse_csv, read_csv, to_csv
+from hil.records.rows import LARGEST, OPTIONAL, REQUIRED, Records, concatenate, parse_csv, read_csv, to_csv
 
 CORPUS = Path(__file__).parents[1] / "corpus" / "records"
 EXPECTED = expectations(CORPUS)
@@ -71,15 +71,6 @@ def test_line_ends_byte_order_mark_and_a_missing_last_line_end_do_not_matter(
 ) -> None:
     text = to_csv(rows).rstrip("\n").replace("\n", line_end)
     assert same_bits(parse_csv(decode_text(text.encode("utf-8-sig" if bom else "utf-8"))), rows)
-
-
-@given(records())
-@settings(max_examples=50, deadline=None)
-def test_format_row_is_one_line(rows: Records) -> None:
-    names = list(rows.columns)
-    line = format_row({name: float(rows[name][0]) for name in names}, names)
-    assert len(line.splitlines()) == 1
-    assert line.count(",") == len(names) - 1
 
 
 def test_every_file_of_the_corpus_is_expected_and_every_expectation_has_its_file() -> None:

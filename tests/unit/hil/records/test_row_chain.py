@@ -393,19 +393,3 @@ def test_a_second_process_is_kept_out_of_the_whole_campaign(tmp_path: Path) -> N
         journal.append(row(0))
         with pytest.raises(InputError, match="is being written by another process"):
             Campaign(tmp_path / "c", PURPOSE, resume=True)
-
-
-def test_a_row_costs_two_syncs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    sync, syncs = os.fsync, 0
-
-    def counted(handle: int) -> None:
-        nonlocal syncs
-        syncs += 1
-        sync(handle)
-
-    campaign = Campaign(tmp_path / "c", PURPOSE, resume=False)
-    with campaign.rows("pass-0", NAMES) as journal:
-        monkeypatch.setattr(os, "fsync", counted)
-        for number in range(50):
-            journal.append(row(number))
-        assert syncs == 100
