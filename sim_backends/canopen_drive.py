@@ -14,7 +14,7 @@ from pathlib import Path
 import can
 
 from drivers.clock import Clock
-from drivers.errors import InputError
+from drivers.errors import InputError, LinkLostError
 from sim_backends.canopen_dictionary import Dictionary, Item, Key, RefusedError, load_items
 from sim_backends.canopen_faults import CanFault, FaultLayer
 from sim_backends.canopen_pdo_engine import PdoEngine
@@ -350,7 +350,8 @@ def attach_to_wire(
 
 
 class Station:
-    """A drive at its end of a python-can bus: frames to it and from it, and its next time in simulated time."""
+    """A drive at its end of a python-can bus: frames to it and from it, and its next time in simulated time. Raises LinkLostError when
+    the bus does not take a frame."""
 
     def __init__(
         self,
@@ -364,24 +365,27 @@ class Station:
         table: TableForm | None = None,
         make: Callable[..., CanOpenSlave] = CanOpenSlave,
     ) -> None:
-        self.bus = bus
-        self.clock = clock
+        self._bus = bus
+        self._clock = clock
         self.slave, self.layer = with_faults(
             servo, node_id, self._send, faults, parameters=parameters, table=table, make=make
         )
         self.slave.boot(clock.now_ns())
 
     def _send(self, cob_id: int, data: bytes) -> None:
-        self.bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+        try:
+            self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+        except (can.CanError, OSError) as error:
+            raise LinkLostError(f"CAN bus {self._bus.channel_info} does not take a frame: {error}") from error
 
     def deliver(self, message: can.Message) -> None:
         """Pass a frame to the drive; extended and error frames are ignored."""
         if message.is_remote_frame and not message.is_extended_id:
-            self.slave.on_remote(message.arbitration_id, self.clock.now_ns())
+            self.slave.on_remote(message.arbitration_id, self._clock.now_ns())
         elif not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-            self.layer.on_frame(message.arbitration_id, bytes(message.data), self.clock.now_ns())
+            self.layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
 
     def bearable(self, now_ns: int) -> int:
         """For SimClock: ns until the next scheduled time, at most the interval of supervision."""
-        due_ns = self.slave.due_ns()
+        due_ns = self.layer.due_ns()
         return SUPERVISION_NS if due_ns is None else min(SUPERVISION_NS, due_ns - now_ns)

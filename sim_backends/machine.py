@@ -17,7 +17,7 @@ from drivers.clock import Clock
 from drivers.errors import InputError, LinkLostError
 from sim_backends import MODBUS_SHAPES
 from sim_backends.bench import Bench
-from sim_backends.canopen_drive import CanOpenSlave, with_faults
+from sim_backends.canopen_drive import CanOpenSlave, Station
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_quirks import ProfiledSlave, machine_objects
 from sim_backends.canopen_strict import StrictSlave
@@ -32,7 +32,6 @@ from sim_backends.own_table import TableForm
 from sim_backends.serve import Pace
 from sim_backends.slcan import SlcanDevice
 
-_SUPERVISION_NS = 20_000_000  # longest interval at which the drive's firmware checks the servo
 _MOST_FRAMES = 64  # handled in a row before anything else runs
 
 
@@ -68,38 +67,27 @@ class CanDrive:
         profile: DriveProfileFile | None = None,
     ) -> None:
         self._bus = bus
-        self._clock = bench.clock
         self._pace = pace
         lead_m = bench.parameters.plant.screw.lead_mm / 1000.0
+        make: Callable[..., CanOpenSlave] = CanOpenSlave
+        settings = bench.parameters.objects
         if profile is not None:
-            make: Callable[..., CanOpenSlave] = partial(ProfiledSlave, profile=profile, maker=maker, lead_m=lead_m)
+            make = partial(ProfiledSlave, profile=profile, maker=maker, lead_m=lead_m)
             settings = machine_objects(profile, bench.parameters) if maker is None else {}
-            self.slave, self._layer = with_faults(
-                bench.servo, node_id, self._send, faults, parameters=settings, make=make
-            )
-        elif maker is None:
-            self.slave, self._layer = with_faults(
-                bench.servo, node_id, self._send, faults, parameters=bench.parameters.objects, table=table
-            )
-        else:
-            make = partial(StrictSlave, maker=maker, lead_m=lead_m)
-            self.slave, self._layer = with_faults(bench.servo, node_id, self._send, faults, make=make)
-        bench.clock.attach(lambda now_ns, _dt_s: self._layer.tick(now_ns), bearable=self._bearable)
-        self.slave.boot(bench.clock.now_ns())
+        elif maker is not None:
+            make, settings = partial(StrictSlave, maker=maker, lead_m=lead_m), {}
+        if make is not CanOpenSlave:
+            table = None
+        self._station = Station(
+            bus, bench.clock, bench.servo, node_id, parameters=settings, faults=faults, table=table, make=make
+        )
+        self.slave = self._station.slave
+        layer = self._station.layer
+        bench.clock.attach(lambda now_ns, _dt_s: layer.tick(now_ns), bearable=self._station.bearable)
 
     def add_faults(self, faults: tuple[CanFault, ...]) -> None:
         """Add faults of the bus and of the node, from the thread that serves."""
-        self._layer.add(faults)
-
-    def _bearable(self, now_ns: int) -> int:
-        due_ns = self._layer.due_ns()
-        return _SUPERVISION_NS if due_ns is None else min(_SUPERVISION_NS, due_ns - now_ns)
-
-    def _send(self, cob_id: int, data: bytes) -> None:
-        try:
-            self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
-        except (can.CanError, OSError) as error:
-            raise LinkLostError(f"CAN bus {self._bus.channel_info} does not take a frame: {error}") from error
+        self._station.layer.add(faults)
 
     def serve(self, timeout_s: float) -> None:
         """Wait at most `timeout_s` seconds for a frame; handle it and those that came with it, each at its time.
@@ -113,10 +101,7 @@ class CanDrive:
             if message is None:
                 return
             self._pace.catch_up()
-            if message.is_remote_frame and not message.is_extended_id:
-                self.slave.on_remote(message.arbitration_id, self._clock.now_ns())
-            elif not (message.is_extended_id or message.is_error_frame):
-                self._layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
+            self._station.deliver(message)
             timeout_s = 0.0
 
 
