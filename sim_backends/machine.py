@@ -5,10 +5,8 @@ Shows a running `bench` to other processes; `reach` limits which ones.
 
 from __future__ import annotations
 
-import os
-import tty
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import partial
 
 import can
@@ -24,7 +22,7 @@ from sim_backends.canopen_strict import StrictSlave
 from sim_backends.drive_profiles import DriveProfileFile
 from sim_backends.maker_file import MakerFile
 from sim_backends.modbus_cia402 import Cia402Registers
-from sim_backends.modbus_drive import ModbusServer
+from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
 from sim_backends.modbus_faults import WireFault
 from sim_backends.modbus_registers import Face
 from sim_backends.modbus_vendor import VendorRegisters
@@ -130,35 +128,13 @@ def modbus_server(
 
     A thread of the server answers requests; the pace holds its lock while time advances. Raises InputError, LinkLostError.
     """
-    for unit in faces:
-        if tcp is None and not 1 <= unit <= 247:
-            raise InputError(f"unit id is {unit}, expected 1 to 247 on a serial line")
-    server = ModbusServer(faces, faults, remember=False)
-    master, slave = os.openpty() if tcp is None else (-1, -1)
-    try:
-        if tcp is None:
-            tty.setraw(slave)
-            server.serve_terminal(master)
-            place = os.ttyname(slave)
-        else:
-            place = f"tcp://{tcp[0]}:{_listen(server, *tcp)}"
-        server.advance(bench.clock.now_ns(), 0.0)
-        bench.clock.attach(server.advance, bearable=server.bearable, settle=server.settle)
+    opened: AbstractContextManager[tuple[ModbusServer, str | int]]
+    if tcp is None:
+        opened = rtu_slave(faces, bench.clock, faults=faults, remember=False)
+    else:
+        opened = tcp_server(faces, bench.clock, faults=faults, remember=False, host=tcp[0], port=tcp[1])
+    with opened as (server, place):
         guarded = server.guard(lambda time_ns, _dt_s: bench.clock.sleep_until_ns(time_ns))
-        try:
-            pace = Pace(bench.clock, wall, sleep=lambda time_ns: guarded(time_ns, 0.0))
-            server.catch_up = pace.catch_up
-            yield pace, place
-        finally:
-            server.stop()
-    finally:
-        for handle in (slave, master):
-            if handle >= 0:
-                os.close(handle)
-
-
-def _listen(server: ModbusServer, host: str, port: int) -> int:
-    try:
-        return server.listen(host, port)
-    except OSError as error:
-        raise LinkLostError(f"Modbus TCP {host}:{port} cannot be served: {error.strerror}") from error
+        pace = Pace(bench.clock, wall, sleep=lambda time_ns: guarded(time_ns, 0.0))
+        server.catch_up = pace.catch_up
+        yield pace, str(place) if tcp is None else f"tcp://{tcp[0]}:{place}"

@@ -19,7 +19,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from drivers.clock import NS_PER_S, Clock
-from drivers.errors import InputError
+from drivers.errors import InputError, LinkLostError
 from sim_backends.clock import Advance, SimClock
 from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_faults import WireFault, WireFaultPlan
@@ -81,9 +81,12 @@ class ModbusServer:
         self._thread = threading.Thread(target=self._run, name="modbus server", daemon=True)
 
     # -- start and stop ------------------------------------------------------------------------------------------------
-    def listen(self, host: str = "127.0.0.1", port: int = 0) -> int:
-        """Serve TCP; returns the port."""
-        self._listener = socket.create_server((host, port))
+    def listen(self, host: str, port: int) -> int:
+        """Serve TCP; returns the port. Raises LinkLostError."""
+        try:
+            self._listener = socket.create_server((host, port))
+        except OSError as error:
+            raise LinkLostError(f"Modbus TCP {host}:{port} cannot be served: {error.strerror}") from error
         self._listener.setblocking(False)
         self._start()
         return int(self._listener.getsockname()[1])
@@ -368,17 +371,25 @@ def _attach(server: ModbusServer, clock: Clock) -> None:
 
 @contextmanager
 def tcp_server(
-    faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = (), port: int = 0
+    faces: Mapping[int, Face],
+    clock: Clock,
+    *,
+    faults: Iterable[WireFault] = (),
+    remember: bool = True,
+    host: str = "127.0.0.1",
+    port: int = 0,
 ) -> Iterator[tuple[ModbusServer, int]]:
-    """Serve units on 127.0.0.1 until the block ends; yields the server and its port (0: a free one is chosen).
+    """Serve units on a TCP address until the block ends; yields the server and its port (0: a free one is chosen).
+
+    Raises LinkLostError.
 
     With a SimClock it advances the faces (attach the servo before); with another clock the code that advances the servo calls
     `advance`.
     """
-    server = ModbusServer(faces, faults)
-    number = server.listen(port=port)
-    _attach(server, clock)
+    server = ModbusServer(faces, faults, remember=remember)
     try:
+        number = server.listen(host, port)
+        _attach(server, clock)
         yield server, number
     finally:
         server.stop()
@@ -386,7 +397,7 @@ def tcp_server(
 
 @contextmanager
 def rtu_slave(
-    faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = ()
+    faces: Mapping[int, Face], clock: Clock, *, faults: Iterable[WireFault] = (), remember: bool = True
 ) -> Iterator[tuple[ModbusServer, str]]:
     """Serve units on a new pseudo-terminal until the block ends; yields the server and the path of the port. Raises InputError."""
     for unit in faces:
@@ -395,7 +406,7 @@ def rtu_slave(
     master, slave = os.openpty()
     try:
         tty.setraw(slave)
-        server = ModbusServer(faces, faults)
+        server = ModbusServer(faces, faults, remember=remember)
         server.serve_terminal(master)
         _attach(server, clock)
         try:
