@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.errors import InputError
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.model.candidates import Catalogue, effects_beside
+from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Part
 from hil.diagnosis.model.force import Force, compensated
 from hil.diagnosis.model.intervals import terms_of
@@ -34,11 +34,11 @@ def fit_model(records: Records, effects: Sequence[Effect] = ()) -> Model:
             )
     with threadpool_limits(1, "blas"):
         rows = Rows(prepare(records))
-        search = Search(rows, Catalogue(rows, effects_beside(rows, effects)), None)
+        search = Search(rows, Catalogue(rows, effects))
         missing = {effect.id for effect in effects}
         parts: list[Part] = []
         while missing:
-            best = next((one for one in search.alternatives(parts) if one.part.name in missing), None)
+            best = next((one for one in search.alternatives(parts, remainder=False) if one.part.name in missing), None)
             if best is None:
                 names = ", ".join(sorted(missing))
                 raise InputError(

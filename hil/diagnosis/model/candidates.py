@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.evidence import Candidate, Fit, Part, score
 from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Rows
 from hil.diagnosis.table import SplineShape
 from hil.effects import Effect, Form
@@ -105,8 +106,8 @@ class Ranked:
 
 
 class Catalogue:
-    """All effects on their grids for one campaign. Beside a declared table each that is no function of the place is two explanations:
-    it came after the table, or the table was measured with some of it.
+    """All effects on their grids for one campaign, and the remainder. An effect that is a table is found only beside a declared one.
+    There each that is no function of the place is two explanations: it came after the table, or this was measured with some of it.
     """
 
     def __init__(self, rows: Rows, effects: Sequence[Effect]) -> None:
@@ -115,10 +116,12 @@ class Catalogue:
         self.refining: dict[str, list[Form]] = {}
         self.wandering: list[Candidate] = []
         self.beside: dict[str, float] = {}
+        self.table = Table(rows.campaign)
         self._varying = {
             effect.mean_of for effect in effects if rows.is_declared and rows.campaign.basis.both_directions
         }
-        for effect in effects:
+        self.remainder = Remainder(rows.campaign)
+        for effect in effects if rows.is_declared else (one for one in effects if not one.is_table):
             for form in effect.forms(self.campaign.survey):
                 if form.shrunk:
                     self.wandering.append(Candidate(effect, form, ()))
@@ -126,15 +129,6 @@ class Catalogue:
                     self.refining.setdefault(effect.id, []).append(form)
                 else:
                     self._add(effect, form)
-
-    @cached_property
-    def table(self) -> Table:
-        return Table(self.campaign)
-
-    @property
-    def _mean(self) -> Floats:
-        """The mean of what varies along the axis with the direction, which a declared table lacks together with it, (n, 1)."""
-        return self.campaign.d[:, None]
 
     def _add(self, effect: Effect, form: Form) -> None:
         columns = effect.bases(form, form.starts, self.campaign.columns)
@@ -149,7 +143,7 @@ class Catalogue:
         for absorbed in self._ways(effect):
             scanned = (columns - self.table.held(columns)).reshape(groups.shape) if absorbed else groups
             if effect.id in self._varying:
-                mean = np.broadcast_to(self._mean[:, :, None], (*scanned.shape[:2], 1))
+                mean = np.broadcast_to(self.campaign.d[:, None, None], (*scanned.shape[:2], 1))
                 scanned = np.concatenate([scanned, mean], axis=2)
             chosen = np.ascontiguousarray(scanned[:, kept].reshape(len(columns), -1).T, dtype=np.float32)
             self.grids.append(Grid(effect, form, thetas, chosen, absorbed))
@@ -170,11 +164,9 @@ class Catalogue:
         none = columns[:, :0]
         if form.shrunk:
             return Part(effect.id, form.inputs, none, columns * math.sqrt(candidate.ratio), none, log_prior, candidate)
-        held = none
-        if candidate.absorbed:
-            held = self.table.absorbed(columns)
-        if effect.id in self._varying:
-            held = self._mean
+        held = self.table.absorbed(columns) if candidate.absorbed else none
+        if effect.id in self._varying:  # a declared table lacks the mean too
+            held = self.campaign.d[:, None]
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
 
     def again(self, parts: Sequence[Part]) -> list[Part]:
@@ -191,14 +183,9 @@ class Catalogue:
     def ranked(self, fits: Sequence[Fit]) -> list[Ranked]:
         """Each form by each column at its best beside fits of the same parts, the best first."""
         top = max(fit.log_p for fit in fits)
-        found: dict[Grid, Ranked] = {}
-        for fit in fits:
-            for grid in self.grids:
-                one = self._best(grid, fit, fit.log_p - top)
-                if grid not in found or one.gain > found[grid].gain:
-                    found[grid] = one
-        wandering = [self._wandering(one, fits, top) for one in self.wandering]
-        return sorted([*found.values(), *wandering], key=lambda one: -one.gain)
+        found = [self._best(grid, fits, top) for grid in self.grids]
+        found += [self._wandering(one, fits, top) for one in self.wandering]
+        return sorted(found, key=lambda one: -one.gain)
 
     def _wandering(self, one: Candidate, fits: Sequence[Fit], top: float) -> Ranked:
         columns = one.effect.basis(one.form, (), self.campaign.columns)
@@ -206,14 +193,14 @@ class Catalogue:
         gain, ratio, fit = max(((*fit.random_gain(columns), fit) for fit in fits), key=lambda g: g[2].log_p + g[0])
         return Ranked(fit.log_p - top + gain + prior, self.part(replace(one, ratio=ratio), prior), fit)
 
-    def _best(self, grid: Grid, fit: Fit, behind: float) -> Ranked:
-        gains = fit.gains(grid.rows, grid.k, grid)
-        weighted = gains + grid.log_prior
-        at = int(np.argmax(weighted))
-        occam = float(np.logaddexp.reduce(weighted) - gains[at])
-        prior = occam + self.prior(grid.effect, grid.form)
+    def _best(self, grid: Grid, fits: Sequence[Fit], top: float) -> Ranked:
+        gains = {fit: fit.gains(grid.rows, grid.k, grid) for fit in fits}
+        mean = {fit: float(np.logaddexp.reduce(gains[fit] + grid.log_prior)) for fit in fits}
+        fit = max(fits, key=lambda one: one.log_p + mean[one])
+        at = int(np.argmax(gains[fit] + grid.log_prior))
+        prior = mean[fit] - float(gains[fit][at]) + self.prior(grid.effect, grid.form)
         part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at], absorbed=grid.absorbed), prior)
-        return Ranked(behind + float(gains[at]) + prior, part, fit)
+        return Ranked(fit.log_p - top + float(gains[fit][at]) + prior, part, fit)
 
     def refined(self, part: Part, fit: Fit) -> Part:
         """The part with its non-linear parameters where the evidence is highest."""
@@ -272,8 +259,3 @@ def _spacing(form: Form, z: Floats, logs: NDArray[np.bool_]) -> Floats:
         gaps = np.abs(grid[same, i] - nearest[i])
         found[i] = np.min(gaps, where=gaps > 1e-9, initial=found[i])
     return found
-
-
-def effects_beside(rows: Rows, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """The effects that can be found: those that are a table only beside a declared one."""
-    return tuple(effect for effect in effects if rows.is_declared or not effect.is_table)

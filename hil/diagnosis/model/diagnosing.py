@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import AllRows, CampaignRows
-from hil.diagnosis.model.candidates import Catalogue, effects_beside
+from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Fit, Noise, Part, score
 from hil.diagnosis.model.force import Folds, Force, compensated, improves
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.offer import Offer
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Given, Rows, row_scale
 from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import share_of
@@ -98,20 +97,20 @@ def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[E
     rows = rows_of(campaign, declared, found.sigma)
     static = [effect for effect in effects if effect.static]
     _, found = _searched(rows, static, found.parts)
-    search = Search(found.rows, Catalogue(rows, effects), Remainder(campaign))
+    search = Search(found.rows, Catalogue(rows, effects))
     return search, search.fit(search.exchanged(found.parts))
 
 
 def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Fit]:
     """The parts beside some that stay; those again with the noise of each row as the first ones leave it."""
-    catalogue, remainder = Catalogue(rows, effects_beside(rows, effects)), Remainder(rows.campaign)
+    catalogue = Catalogue(rows, effects)
     stay = catalogue.again(kept)
-    search = Search(rows, catalogue, remainder, stay)
+    search = Search(rows, catalogue, stay)
     first = search.run(stay)
     weighted = rows.with_scale(row_scale(first.residual, rows.campaign))
     if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
         return search, first
-    search = Search(weighted, catalogue, remainder, stay)
+    search = Search(weighted, catalogue, stay)
     return search, search.run(first.parts)
 
 

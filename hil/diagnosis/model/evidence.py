@@ -1,6 +1,6 @@
 """The evidence: the probability of the errors under parts and a noise model, by one Cholesky factor, with its gradient.
 
-With the rows over their noise, A = [Z R | X] (random columns with ridge 1/variance, fixed ones without), C the columns of the effects
+With the rows over their noise, A = [Z X R] (random columns with ridge 1/variance, fixed ones without), C the columns of the effects
 and L the Cholesky factor of the bordered Gram matrix [A C y]'[A C y] + ridge:
 
     rss₁ = L²yy,  rss₀ = rss₁ + Σ L²y,C,  left = rss₁ / rss₀,  ν = n - columns of X,  g = max(n, 10 / left)
@@ -10,9 +10,10 @@ and L the Cholesky factor of the bordered Gram matrix [A C y]'[A C y] + ridge:
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Hashable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +34,8 @@ HIGHEST = np.array([7.0, 7.0, 7.0])
 START = np.array([1.0, 0.0, -1.5])
 LEAST_LEFT = 1e-4
 """Share of a column's squares that must be left beside everything else for it to count, in single precision."""
+KINDS = ("random", "fixed", "free")
+"""Columns of a part, in their order."""
 RATIOS = 10.0 ** np.arange(-3.0, 4.1, 0.5)
 """Variances of a random part that are tried."""
 
@@ -91,7 +94,6 @@ class Part:
     fixed: Floats
     log_prior: float = 0.0
     of: Candidate | None = None
-    kind: str = field(default="", compare=False)
 
     @property
     def is_remainder(self) -> bool:
@@ -114,62 +116,46 @@ def _log_bayes_slope(left: float, dof: float, k: int, n: int) -> float:
     return -0.5 * dof * g / (1.0 + g * left)
 
 
-@dataclass(frozen=True)
-class Columns:
-    """What the parts bring: r random columns R, then k fixed and free ones C, (n, r + k)."""
-
-    all: Floats
-    r: int
-
-    @classmethod
-    def of(cls, parts: Sequence[Part], n: int) -> Columns:
-        random, fixed, free = (
-            side_by_side([getattr(p, kind) for p in parts], n) for kind in ("random", "fixed", "free")
-        )
-        return cls(np.hstack([random, fixed, free]), random.shape[1])
-
-    def among(self, base: Floats, own: Floats, q: int) -> Floats:
-        """Columns in the order Z R X C: q random and the fixed ones of the rows, and those of the parts."""
-        return np.hstack([base[:, :q], own[:, : self.r], base[:, q:], own[:, self.r :]])
-
-
 class Profile:
-    """The evidence under one memory as a function of the log standard deviations, for given columns of parts."""
+    """The evidence under one memory as a function of the log standard deviations.
 
-    def __init__(self, rows: Rows, columns: Columns, memory: Memory) -> None:
-        self.rows, self.memory = rows, memory
-        white = rows.whitened(memory)
-        own = rows.white(columns.all, memory)
-        q, x, m = rows.random.shape[1], rows.fixed.shape[1], len(white.gram) + own.shape[1]
-        self.random, self.k = q + columns.r, own.shape[1] - columns.r
-        self.p, self.dof = m - self.k, rows.n - x
-        self.of_rows = np.zeros(m, dtype=np.bool_)
-        self.of_rows[:q] = self.of_rows[self.random : self.p] = True
-        self.white, self.y, self._log_noise = columns.among(white.base, own, q), white.y, white.log_noise
+    columns: of the parts, (n, r + k); white: Z X R C over the noise of the rows, of which C are the last k
+    """
+
+    def __init__(self, rows: Rows, parts: Sequence[Part], memory: Memory) -> None:
+        self.rows, self.memory, base = rows, memory, rows.whitened(memory)
+        random, *others = (side_by_side([getattr(p, kind) for p in parts], rows.n) for kind in KINDS)
+        self.columns = np.hstack([random, *others])
+        own = rows.white(self.columns, memory)
+        self.white, self.y, self._log_noise = np.hstack([base.columns, own]), base.y, base.log_noise
+        at, m = base.columns.shape[1], self.white.shape[1]
+        self.p, self.dof = at + random.shape[1], rows.n - rows.fixed.shape[1]
+        self.k = m - self.p
+        self._variance_1 = np.zeros(m - len(rows.group))
+        self._variance_1[rows.fixed.shape[1] : m - self.k - len(rows.group)] = 1.0
         gram = np.empty((m + 1, m + 1))
-        at, its = np.flatnonzero(self.of_rows), np.flatnonzero(~self.of_rows)
-        gram[np.ix_(at, at)] = white.gram
-        gram[its, :-1] = own.T @ self.white
-        gram[:-1, its] = gram[its, :-1].T
+        gram[:at, :at] = base.gram
+        gram[at:-1, :-1] = own.T @ self.white
+        gram[:at, at:-1] = gram[at:-1, :at].T
         gram[-1, :-1] = gram[:-1, -1] = self.y @ self.white
         gram[-1, -1] = self.y @ self.y
         gram[np.arange(m), np.arange(m)] *= 1.0 + 1e-10
         self._gram = gram
 
     def ridge(self, log_sd: Floats) -> Floats:
-        """Inverse variances of the random columns."""
-        own = np.exp(-2.0 * np.append(log_sd, [0.0, 0.0])[self.rows.group])
-        return np.concatenate([own, np.ones(self.random - len(own))])
+        """Inverse variances of the columns, 0 of those without a prior of their own."""
+        return np.concatenate([np.exp(-2.0 * np.append(log_sd, [0.0, 0.0])[self.rows.group]), self._variance_1])
 
     def gram(self, log_sd: Floats) -> Floats:
         """Products of the columns and, last, the errors, with the ridge, (m + 1, m + 1)."""
-        gram, at = self._gram.copy(), np.arange(self.random)
-        gram[at, at] += self.ridge(log_sd)
+        gram, ridge = self._gram.copy(), self.ridge(log_sd)
+        gram[np.arange(len(ridge)), np.arange(len(ridge))] += ridge
         return gram
 
     def value(self, log_sd: Floats) -> tuple[float, Floats]:
         """Log evidence without the priors of the parts, and its gradient, (3,)."""
-        ridge, p, k = self.ridge(log_sd), self.p, self.k
+        p, q = self.p, len(self.rows.group)
+        ridge = self.ridge(log_sd)[:q]
         try:
             lower = np.linalg.cholesky(self.gram(log_sd))
         except np.linalg.LinAlgError:
@@ -178,22 +164,18 @@ class Profile:
         rss = float(diagonal[-1]) ** 2
         rss_0 = rss + float(last[p:] @ last[p:])
         inverse = inverse_of_lower(lower[:-1, :-1])
-        in_a = inverse[:p, : self.random]
+        in_a = inverse[:p, :q]
         b_0 = last[:p] @ in_a
-        noise = Noise(self.memory, log_sd)
         logs = 2.0 * float(np.sum(np.log(diagonal[:p]))) - float(np.sum(np.log(ridge)))
-        value = -0.5 * (logs + self._log_noise + self.dof * math.log(rss_0)) + noise.log_prior
+        value = -0.5 * (logs + self._log_noise + self.dof * math.log(rss_0)) + Noise(self.memory, log_sd).log_prior
         slope = ridge * (np.einsum("ij,ij->j", in_a, in_a) + self.dof * b_0**2 / rss_0) - 1.0
-        if k:
+        if self.k:
             left = rss / rss_0
-            value += float(log_bayes(np.array(left), self.dof, k, self.rows.n))
-            b = last @ inverse[:, : self.random]
+            value += float(log_bayes(np.array(left), self.dof, self.k, self.rows.n))
+            b = last @ inverse[:, :q]
             d_left = -2.0 * ridge * (b**2 - left * b_0**2) / rss_0
-            slope = slope + _log_bayes_slope(left, self.dof, k, self.rows.n) * d_left
-        gradient = np.zeros(3)
-        own = slope[: len(self.rows.group)]
-        for group in range(3):
-            gradient[group] = np.sum(own[self.rows.group == group])
+            slope = slope + _log_bayes_slope(left, self.dof, self.k, self.rows.n) * d_left
+        gradient = np.asarray(np.bincount(self.rows.group, slope, 3)[:3], dtype=np.float64)
         offset = (math.exp(float(log_sd[OFFSET])) / USUAL.correlated) ** 2
         gradient[OFFSET] -= 2.0 * offset / (1.0 + offset)
         return value, gradient
@@ -213,12 +195,11 @@ def _prior(parts: Sequence[Part]) -> float:
 
 def score(rows: Rows, parts: Sequence[Part], near: Noise | None = None) -> list[Scored]:
     """The parts under noise models, the likeliest first; near: only its memory and none, from its standard deviations."""
-    columns = Columns.of(parts, rows.n)
     memories = MEMORIES if near is None else tuple(dict.fromkeys((near.memory, NO_MEMORY)))
     start = START if near is None else near.log_sd
     found = []
     for memory in memories:
-        profile = Profile(rows, columns, memory)
+        profile = Profile(rows, parts, memory)
         value, start = highest(profile.value, start, LOWEST, HIGHEST, 12 if near is None else 6)
         found.append(Scored(value + _prior(parts), Noise(memory, start)))
     return sorted(found, key=lambda one: -one.log_p)
@@ -229,19 +210,21 @@ class Fit:
 
     def __init__(self, rows: Rows, parts: Sequence[Part], noise: Noise) -> None:
         self.rows, self.parts, self.noise = rows, tuple(parts), noise
-        columns = Columns.of(parts, rows.n)
-        profile = Profile(rows, columns, noise.memory)
-        self.log_p = profile.value(noise.log_sd)[0] + _prior(parts)
-        self._q, self._r, self._x = rows.random.shape[1], columns.r, rows.fixed.shape[1]
-        self.design = columns.among(np.hstack([rows.random, rows.fixed]), columns.all, self._q)
-        self.white, self.y, self._base = profile.white, profile.y, profile.of_rows
-        self.ridge = np.append(profile.ridge(noise.log_sd), np.zeros(self.white.shape[1] - profile.random))
+        profile = Profile(rows, parts, noise.memory)
+        self._base = profile.white.shape[1] - profile.columns.shape[1]
+        self._columns, self.white, self.y = profile.columns, profile.white, profile.y
+        self.ridge = profile.ridge(noise.log_sd)
         gram = profile.gram(noise.log_sd)
         self.inverse = inverse_of_lower(np.linalg.cholesky(gram[:-1, :-1]))
         self.beta = np.asarray(self.inverse.T @ (self.inverse @ gram[:-1, -1]))
         self.rest = self.y - self.white @ self.beta
         self.rss = float(self.y @ self.rest)
         self.dof = max(profile.dof - profile.k, 1)
+
+    @cached_property
+    def log_p(self) -> float:
+        """Log evidence, priors of the parts included."""
+        return Profile(self.rows, self.parts, self.noise.memory).value(self.noise.log_sd)[0] + _prior(self.parts)
 
     @property
     def sigma(self) -> float:
@@ -261,30 +244,27 @@ class Fit:
     @property
     def residual(self) -> Floats:
         """Of each row over its scale, the memory of the noise left in, µm, (n,)."""
-        return np.asarray((self.rows.y - self.design @ self.beta) / self.rows.scale)
+        design = np.hstack([self.rows.random, self.rows.fixed, self._columns])
+        return np.asarray((self.rows.y - design @ self.beta) / self.rows.scale)
 
     def of_table(self) -> Ints:
         """Where the coefficients of the table's columns are, in the order of `ShapeColumns.stacked`."""
-        free = np.arange(self._q + self._r, self._q + self._r + self._x)
-        return np.concatenate([free, self.rows.of_table]).astype(np.int64)
+        return np.concatenate([np.arange(len(self.rows.group), self._base), self.rows.of_table]).astype(np.int64)
 
     def held(self, course_um: Floats) -> Floats:
         """Coefficients of the table's columns that hold what a table as smooth as this one can of a course of the rows, (n,)."""
-        white, q = self.rows.whitened(self.noise.memory), self._q
-        ridge = np.concatenate([self.ridge[:q], np.full(self._x, 1e-9)])
-        right = white.base.T @ self.rows.white(course_um, self.noise.memory)
-        solved = np.linalg.solve(white.gram + np.diag(ridge), right)
-        return np.concatenate([solved[q:], solved[self.rows.of_table]])
+        white = self.rows.whitened(self.noise.memory)
+        right = white.columns.T @ self.rows.white(course_um, self.noise.memory)
+        solved = np.linalg.solve(white.gram + np.diag(self.ridge[: self._base] + 1e-9), right)
+        return np.asarray(solved[self.of_table()])
 
     def where(self, part: Part, kind: str) -> slice:
-        """Coefficients of one part's columns of a kind ('random', 'fixed', 'free')."""
-        first = {"random": self._q, "fixed": self._q + self._r + self._x}.get(kind, 0)
-        if kind == "free":
-            first = self._q + self._r + self._x + sum(one.fixed.shape[1] for one in self.parts)
-        for one in self.parts:
-            if one is part:
+        """Coefficients of one part's columns of a kind."""
+        first = self._base
+        for name, one in itertools.product(KINDS, self.parts):
+            if name == kind and one is part:
                 break
-            first += getattr(one, kind).shape[1]
+            first += getattr(one, name).shape[1]
         return slice(first, first + getattr(part, kind).shape[1])
 
     def course_um(self, part: Part) -> Floats:
@@ -296,11 +276,7 @@ class Fit:
     @cached_property
     def _own(self) -> Singles:
         """What sums columns of the rows to their products with the parts', (n, k)."""
-        return self.rows.unwhite(self.white[:, ~self._base], self.noise.memory).astype(np.float32)
-
-    @cached_property
-    def _single(self) -> Singles:
-        return np.asarray(self.inverse.T, dtype=np.float32)
+        return self.rows.unwhite(self.white[:, self._base :], self.noise.memory).astype(np.float32)
 
     @cached_property
     def score(self) -> Singles:
@@ -326,7 +302,7 @@ class Fit:
         left = 1.0 - float(b @ np.linalg.solve(a, b)) / self.rss
         return float(log_bayes(np.array(left), self.dof, len(b), self.rows.n))
 
-    def gains(self, rows: Singles, k: int, of: Hashable = None) -> Floats:
+    def gains(self, rows: Singles, k: int, of: Hashable) -> Floats:
         """The same of groups of k columns, one a row, (G·k, n): (G,); in single precision; of: see `Rows.reduced`."""
         a, whole, b = self._products(rows, k, of)
         a = a + np.eye(k) * (LEAST_LEFT * np.max(whole, axis=1)[:, None, None] + 1e-20)
@@ -335,14 +311,12 @@ class Fit:
 
     def _products(self, rows: Singles, k: int, of: Hashable) -> tuple[Floats, Floats, Floats]:
         """Of groups of k columns beside the fit: matrices (G, k, k), their diagonals without the fit (G, k), right sides (G, k)."""
-        reduced = self.rows.reduced(rows, k, self.noise.memory, of)
-        by_design = np.empty((len(rows), self.white.shape[1]), dtype=np.float32)
-        by_design[:, self._base] = reduced.by_base
-        by_design[:, ~self._base] = rows @ self._own
-        h = (by_design @ self._single).reshape(-1, k, by_design.shape[1])
-        a = (reduced.products - h @ h.transpose(0, 2, 1)).astype(float)
+        products, by_base = self.rows.reduced(rows, k, self.noise.memory, of)
+        onto = np.hstack([by_base, rows @ self._own]) @ self.inverse.T.astype(np.float32)
+        h = onto.reshape(-1, k, onto.shape[1])
+        a = (products - h @ h.transpose(0, 2, 1)).astype(float)
         b = (rows @ self.score).reshape(-1, k).astype(float)
-        return a, np.diagonal(reduced.products, axis1=1, axis2=2).astype(float), b
+        return a, np.diagonal(products, axis1=1, axis2=2).astype(float), b
 
     def random_gain(self, columns: Floats) -> tuple[float, float]:
         """Log evidence that random columns would add at the best of their variances, and that variance."""
@@ -350,7 +324,7 @@ class Fit:
         gain, ratio = self._of_random(a[None], b[None])
         return float(gain[0]), float(ratio[0])
 
-    def random_gains(self, rows: Singles, k: int, of: Hashable = None) -> Floats:
+    def random_gains(self, rows: Singles, k: int, of: Hashable) -> Floats:
         """The gains of groups of k random columns, one a row, (G·k, n): (G,); in single precision."""
         a, _, b = self._products(rows, k, of)
         return self._of_random(a, b)[0]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import AllRows
 from hil.diagnosis.model.candidates import Table
 from hil.diagnosis.model.evidence import Fit, Part
+from hil.diagnosis.model.rows import KNOWN
 from hil.effects import Action, Term
 from hil.effects.model import Model, PitchTable
 
@@ -74,7 +75,8 @@ class Force:
         covariance = fit.covariance[np.ix_(at, at)] if uncertain else None
         table = _with_held(rows.shape.tabulate(coefficients, covariance), fit)
         about: dict[str, str | int | float] = {"rows": rows.n, "runs": rows.campaign.runs, "white_noise_um": fit.sigma}
-        return Model(table, (*rows.declared_terms(fit.beta[: len(rows.group)]), *live.values()), about)
+        known = () if rows.given is None else rows.given.moved(fit.beta[: len(rows.group)][rows.group == KNOWN])
+        return Model(table, (*known, *live.values()), about)
 
     def without(self, out: NDArray[np.bool_]) -> Model:
         """The model fitted without some of the rows, its forms and non-linear parameters as they are."""

@@ -42,14 +42,14 @@ def _term(fit: Fit, part: Part) -> Term:
     assert one is not None
     if one.form.shrunk:
         at, scale = fit.where(part, "random"), math.sqrt(one.ratio)
-        return _as_term(one, fit.beta[at] * scale, fit.covariance[at, at] * one.ratio)
+        return as_term(one, fit.beta[at] * scale, fit.covariance[at, at] * one.ratio)
     beta = fit.beta[fit.where(part, "free")]
-    term = _as_term(one, beta, np.zeros((len(beta) + len(one.theta),) * 2))
+    term = as_term(one, beta, np.zeros((len(beta) + len(one.theta),) * 2))
     beside = Fit(fit.rows, [_with_slopes(fit, other) for other in fit.parts if other is not part], fit.noise)
     normal, _ = beside.normal(np.hstack([part.free, slopes_of(fit.rows.campaign.columns, one, beta)]))
     size = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     covariance = np.outer(size, size) * np.linalg.pinv(normal * np.outer(size, size), rcond=1e-12, hermitian=True)
-    term = _as_term(one, beta, covariance * fit.sigma**2)
+    term = as_term(one, beta, covariance * fit.sigma**2)
     if one.form.exhaustive or not np.all(np.diag(covariance) > 0.0):
         return term
     return replace(term, likely=_Region(beside, one, fit.sigma**2, np.array(term.covariance)).likely())
@@ -63,7 +63,8 @@ def _with_slopes(fit: Fit, part: Part) -> Part:
     return replace(part, free=part.free[:, :0], fixed=np.hstack([part.fixed, part.free, slopes]))
 
 
-def _as_term(one: Candidate, coefficients: Floats, covariance: Floats) -> Term:
+def as_term(one: Candidate, coefficients: Floats, covariance: Floats) -> Term:
+    """A candidate with its coefficients (k,), and their covariance with its t parameters, (k + t, k + t)."""
     known = tuple(tuple(row) for row in covariance.tolist())
     return Term(one.effect, one.form, tuple(one.theta), tuple(coefficients.tolist()), known)
 

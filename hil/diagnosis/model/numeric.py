@@ -32,13 +32,6 @@ def inverse_of_lower(lower: NDArray[np.floating[Any]]) -> Floats:
     return out
 
 
-def ranks(values: Floats) -> Floats:
-    """Ranks from 1, equal values at their mean rank."""
-    _, index, counts = np.unique(values, return_inverse=True, return_counts=True)
-    last = np.cumsum(counts)
-    return np.asarray((last - 0.5 * (counts - 1))[index], dtype=np.float64)
-
-
 def highest(
     value: Callable[[Floats], tuple[float, Floats]], start: Floats, lower: Floats, upper: Floats, steps: int
 ) -> tuple[float, Floats]:

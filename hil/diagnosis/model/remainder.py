@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows
-from hil.diagnosis.model.candidates import Ranked
 from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.result import OUTSIDE
 from hil.effects.history import BRANCH, LONG_STROKE_MM, time_column
@@ -66,11 +65,6 @@ class Axis:
     def has_levels(self) -> bool:
         return len(self.levels) <= MOST_LEVELS
 
-    @property
-    def one(self) -> Floats:
-        """1 in every row, (n, 1)."""
-        return np.ones((len(self.u), 1))
-
     def waves(self, periods: Floats) -> Floats:
         """Cosine and sine of each number of periods over the range, (n, 2 K)."""
         angle = 2.0 * np.pi * np.outer(self.u, periods)
@@ -78,17 +72,18 @@ class Axis:
 
     def smooth(self) -> Floats:
         """1 and functions whose variance falls with frequency, (n, r)."""
+        one = np.ones((len(self.u), 1))
         if self.has_levels:
             here = (np.abs(self.values[:, None] - self.levels) < 1e-5).astype(float)
-            return np.hstack([self.one, (here - here.mean(axis=0))[:, 1:]])
+            return np.hstack([one, (here - here.mean(axis=0))[:, 1:]])
         periods = np.arange(0.5, SMOOTH + 0.1, 0.5)
-        return np.hstack([self.one, self.waves(periods) / np.repeat(np.sqrt(1.0 + periods**2), 2)])
+        return np.hstack([one, self.waves(periods) / np.repeat(np.sqrt(1.0 + periods**2), 2)])
 
     @cached_property
     def course(self) -> Singles:
         """1 and the smooth functions in fewer, the largest first, (r, n)."""
         smooth = self.smooth()
-        return np.hstack([self.one, thin(smooth[:, 1:])[:, ::-1]]).T.astype(np.float32)
+        return np.hstack([smooth[:, :1], thin(smooth[:, 1:])[:, ::-1]]).T.astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +171,7 @@ class Remainder:
         blocks = sorted(self._blocks(), key=lambda one: len(one.alike))
         return [tuple(blocks[i : i + TOGETHER]) for i in range(0, len(blocks), TOGETHER)]
 
-    def best(self, fit: Fit, kept: int) -> list[Ranked]:
+    def best(self, fit: Fit, kept: int) -> list[Part]:
         """The likeliest remainders beside a fit, as parts."""
         price = math.log(2.0 * sum(map(len, self._batches)))
         found: list[tuple[float, Block]] = []
@@ -187,7 +182,7 @@ class Remainder:
             gains = fit.random_gains(wide.reshape(-1, len(self.campaign)), wide.shape[1], batch) - price
             found += zip(gains.tolist(), batch, strict=True)
         found.sort(key=lambda one: -one[0])
-        return [Ranked(gain, _part(block, fit, price), fit) for gain, block in found[:kept]]
+        return [_part(block, fit, price) for _, block in found[:kept]]
 
 
 def _part(block: Block, fit: Fit, price: float) -> Part:

@@ -100,11 +100,12 @@ def _by_temperatures(
     found: Mapping[str, Finding], recorded: Collection[str], columns: Columns
 ) -> Iterator[tuple[str, str]]:
     has_thermometer = _has_thermometer(recorded)
+    did_ppm = {name: _did_ppm(name, recorded, columns) for name in PPM_PER_UNIT}
     if "thermal_drift" in found and not _follows_a_temperature(found["thermal_drift"]):
         yield "thermal_drift", "beam_drift"
     for name, by_air in (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index")):
-        if by_air in found and not has_thermometer and not _is_by_pressure(recorded, columns):
-            yield by_air, name
+        if by_air in found and not has_thermometer and did_ppm[PRESSURE] <= did_ppm[AIR_TEMPERATURE]:
+            yield by_air, name  # no part of a machine follows a barometer
         if name in found and _may_be_of_air(found[name], recorded, columns):
             yield name, by_air
 
@@ -116,12 +117,6 @@ def _has_thermometer(recorded: Collection[str]) -> bool:
 
 def _follows_a_temperature(finding: Finding) -> bool:
     return any(is_temperature(name) for term in finding.terms for name in term.needs)
-
-
-def _is_by_pressure(recorded: Collection[str], columns: Columns) -> bool:
-    """Whether what the air did to the index is the pressure's: no part of a machine follows a barometer."""
-    did = {name: _did_ppm(name, recorded, columns) for name in PPM_PER_UNIT}
-    return did[PRESSURE] > did[AIR_TEMPERATURE]
 
 
 def _did_ppm(name: str, recorded: Collection[str], columns: Columns) -> float:

@@ -54,9 +54,9 @@ MEMORIES = (
 
 @dataclass(frozen=True)
 class Whitened:
-    """Columns and errors over the noise of their rows: base (n, q + f), its products, y (n,), log determinant of the noise."""
+    """Columns and errors over the noise of their rows: columns (n, q + f), their products, y (n,), log determinant of the noise."""
 
-    base: Floats
+    columns: Floats
     gram: Floats
     y: Floats
     log_noise: float
@@ -95,14 +95,6 @@ class Given:
         return tuple(out)
 
 
-@dataclass(frozen=True)
-class Reduced:
-    """Groups of k columns under a memory: their products (G, k, k), and those with the base (G·k, q + f), in single precision."""
-
-    products: Singles
-    by_base: Singles
-
-
 class Rows:
     """y = fixed a + random b + … + scale (ε + memory), all over the white noise. given: the declared model, or None for a table that
     is fitted from these rows."""
@@ -123,7 +115,7 @@ class Rows:
         kinds = [EVEN, ODD, OFFSET, GIVEN, *[KNOWN] * (len(parts) - 4)]
         self.group: Ints = np.repeat(kinds, widths).astype(np.int64)
         self._white: dict[Memory, Whitened] = {}
-        self._reduced: dict[tuple[Hashable, Memory], Reduced] = {}
+        self._reduced: dict[tuple[Hashable, Memory], tuple[Singles, Singles]] = {}
         self._roots: dict[tuple[int, Memory], Floats] = {}
 
     @property
@@ -135,10 +127,6 @@ class Rows:
     def of_table(self) -> Ints:
         """Random columns of the table in the order of `ShapeColumns.stacked`."""
         return np.concatenate([np.flatnonzero(self.group == kind) for kind in (EVEN, ODD, GIVEN)]).astype(np.int64)
-
-    def declared_terms(self, random: Floats) -> tuple[Term, ...]:
-        """The terms of the declared model, moved by the coefficients of the random columns."""
-        return () if self.given is None else self.given.moved(random[self.group == KNOWN])
 
     def with_scale(self, scale: Floats) -> Rows:
         """The same rows with another noise by row."""
@@ -182,11 +170,13 @@ class Rows:
                 out[rows] = self._root(rows.stop - rows.start, memory).T @ values[rows]
         return np.asarray((out.T / self.scale).T)
 
-    def reduced(self, rows: Singles, k: int, memory: Memory, of: Hashable = None) -> Reduced:
-        """Groups of k columns, one a row, (G·k, n); of: what they are the columns of, kept for the next time; None for nothing."""
+    def reduced(self, rows: Singles, k: int, memory: Memory, of: Hashable) -> tuple[Singles, Singles]:
+        """Groups of k columns, one a row, (G·k, n), in single precision: their products (G, k, k), and those with the columns of the
+        table and the offsets, (G·k, q + f); of: what they are the columns of, by which they are kept for the next time.
+        """
         key = of, memory
-        if of is None or key not in self._reduced:
-            base = self.whitened(memory).base.astype(np.float32)
+        if key not in self._reduced:
+            base = self.whitened(memory).columns.astype(np.float32)
             size = k * max(MOST_BYTES // (4 * k * self.n), 1)
             products, by_base = [], []
             for first in range(0, len(rows), size):
@@ -194,10 +184,7 @@ class Rows:
                 groups = white.reshape(-1, k, self.n)
                 products.append(groups @ groups.transpose(0, 2, 1))
                 by_base.append(white @ base)
-            found = Reduced(np.concatenate(products), np.concatenate(by_base))
-            if of is None:
-                return found
-            self._reduced[key] = found
+            self._reduced[key] = np.concatenate(products), np.concatenate(by_base)
         return self._reduced[key]
 
     def whitened(self, memory: Memory) -> Whitened:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.model.candidates import Catalogue, Ranked
 from hil.diagnosis.model.evidence import Fit, Noise, Part, Scored, score
+from hil.diagnosis.model.intervals import as_term
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Rows
-from hil.effects import Effect, Term
+from hil.effects import Effect
 
 MOST_PARTS = 6
 NEAR = 8.0
@@ -37,12 +37,10 @@ class Alternative:
 
 
 class Search:
-    """One campaign's candidates, with what was tried. Without a remainder it looks for effects alone; kept: parts that stay."""
+    """One campaign's candidates, with what was tried; kept: parts that stay."""
 
-    def __init__(
-        self, rows: Rows, catalogue: Catalogue, remainder: Remainder | None, kept: Sequence[Part] = ()
-    ) -> None:
-        self.rows, self.catalogue, self.remainder = rows, catalogue, remainder
+    def __init__(self, rows: Rows, catalogue: Catalogue, kept: Sequence[Part] = ()) -> None:
+        self.rows, self.catalogue = rows, catalogue
         self.kept = frozenset(kept)
         self._tried: dict[tuple[str, frozenset[Part]], list[Alternative]] = {}
         self._scored: dict[frozenset[Part], list[Scored]] = {}
@@ -81,8 +79,8 @@ class Search:
 
     def _remainders(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The two likeliest."""
-        ranked = self.remainder.best(self.fit(parts), kept=2) if self.remainder is not None else ()
-        return [(one.part, one.fit.noise) for one in ranked]
+        fit = self.fit(parts)
+        return [(part, fit.noise) for part in self.catalogue.remainder.best(fit, kept=2)]
 
     def _effects(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The effects that come near the best, each in its likeliest forms."""
@@ -124,10 +122,7 @@ class Search:
         if type(one.effect).implausible is Effect.implausible:
             return 0.0
         at = fit.where(part, "free")
-        known = np.zeros((at.stop - at.start + len(one.theta),) * 2)
-        known[: at.stop - at.start, : at.stop - at.start] = fit.covariance[at, at]
-        rows = tuple(map(tuple, known.tolist()))
-        term = Term(one.effect, one.form, one.theta, tuple(fit.beta[at].tolist()), rows)
+        term = as_term(one, fit.beta[at], np.pad(fit.covariance[at, at], (0, len(one.theta))))
         return 2.0 * USUAL.richer if one.effect.implausible(term) else 0.0
 
     def rests_on_few(self, parts: Sequence[Part], one: Alternative) -> bool:

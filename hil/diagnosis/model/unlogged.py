@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from types import MappingProxyType
 
 import numpy as np
@@ -80,17 +81,18 @@ def unlogged(fit: Fit, recorded: Collection[str]) -> Iterator[tuple[str, float]]
     """By effect, the log evidence of the parts of a fit with it, acting through a quantity that was not recorded."""
     campaign = fit.rows.campaign
     course, factor = courses(campaign), factors(campaign)
-    known: dict[tuple[str, str], float] = {}
+
+    @cache
+    def gain(of: str, by: str) -> float:
+        columns = course[of][:, :, None] * factor[by][:, None, :]
+        return fit.random_gain(columns.reshape(len(columns), -1))[0]
+
     for effect, way in WAYS.items():
         if not absent(way, recorded):
             continue
-        kinds = [(c, f) for c in way.courses for f in way.factors if campaign.runs > 2 or c != SET]
-        for kind in kinds:
-            if kind not in known:
-                columns = course[kind[0]][:, :, None] * factor[kind[1]][:, None, :]
-                known[kind] = fit.random_gain(columns.reshape(len(columns), -1))[0]
-        if kinds:
-            yield effect, fit.log_p + max(known[kind] for kind in kinds) - math.log(len(kinds)) - UNKNOWN
+        gains = [gain(c, f) for c in way.courses for f in way.factors if campaign.runs > 2 or c != SET]
+        if gains:
+            yield effect, fit.log_p + max(gains) - math.log(len(gains)) - UNKNOWN
 
 
 def share_of(odds: Mapping[str, float]) -> dict[str, float]:

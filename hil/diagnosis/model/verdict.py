@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +12,13 @@ from numpy.typing import NDArray
 from hil.diagnosis.campaign import CampaignRows
 from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.model.intervals import terms_of
-from hil.diagnosis.model.numeric import ranks as ranks_of
 from hil.diagnosis.model.policy import USUAL
+from hil.diagnosis.model.remainder import NO_CAUSE
 from hil.diagnosis.model.rivals import not_told_apart, separating, to_switch
 from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import UNKNOWN, columns_of, share_of, unlogged
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
-from hil.effects import Estimate, Term
+from hil.effects import Columns, Estimate, Term
 
 Floats = NDArray[np.float64]
 
@@ -27,8 +28,6 @@ ALIKE = 0.95
 """Rank correlation from which two columns are equivalent as carriers."""
 FORM = frozenset({"target_mm", "direction", "time_s", "row_order"})
 """Columns beside those of an effect along which its form may be wrong."""
-
-
 CLOCKS = frozenset({"run", "time_s", "row_order"})
 """Columns that only count: what happens once happens at one of their values."""
 
@@ -75,8 +74,7 @@ class Verdict:
         if term.effect.static and not self.search.rows.is_declared and len(parts) > 1 and not term.effect.several:
             size = float(np.std(whole - beside))
         first = self.terms[parts[0]].error_um(self.campaign.columns)
-        k = len(term.coefficients)
-        relative = _size_std(term, k, self.campaign) / max(float(np.std(first)), 1e-12)
+        relative = _size_std(term, self.campaign) / max(float(np.std(first)), 1e-12)
         peak = float(np.max(np.abs(whole - np.mean(whole))))
         return Finding(
             term,
@@ -149,7 +147,7 @@ class Verdict:
         found = [(terms[key], shares["".join(key)]) for key in odds if shares["".join(key)] > LEAST]
         return tuple(sorted(found, key=lambda one: -one[1])) if len(found) > 1 else ()
 
-    @property
+    @cached_property
     def carriers(self) -> tuple[Carrier, ...]:
         """What carries the remainders, the largest first; those of the same columns are one, the error of a form is none."""
         left: dict[frozenset[str], list[Part]] = {}
@@ -182,34 +180,30 @@ class Verdict:
 
     def _equivalent(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """By column, the others that move with it."""
-        ranks = {
-            name: ranks_of(self.campaign.columns[name])
-            for name in sorted(self.campaign.survey.varying)
-            if name not in ("run", "measured_mm", "command_mm", "row_order")
+        may_carry = self.campaign.survey.varying - NO_CAUSE - {"target_mm"}
+        others = sorted(may_carry - set(names))
+        found = {
+            name: tuple(other for other in others if _rank_correlation(self.campaign.columns, name, other) > ALIKE)
+            for name in may_carry.intersection(names)
         }
-        found = {}
-        for name in names:
-            if name not in ranks or name in ("target_mm", "direction"):
-                continue
-            alike = [
-                other
-                for other, values in ranks.items()
-                if other not in (*names, "target_mm", "direction")
-                and abs(float(np.corrcoef(ranks[name], values)[0, 1])) > ALIKE
-            ]
-            if alike:
-                found[name] = tuple(alike)
-        return found
+        return {name: alike for name, alike in found.items() if alike}
 
 
-def _size_std(term: Term, k: int, campaign: CampaignRows) -> float:
+def _rank_correlation(columns: Columns, one: str, other: str) -> float:
+    """Spearman's, its absolute value; equal values have their mean rank."""
+    ordered = ((columns[name], np.sort(columns[name])) for name in (one, other))
+    ranks = np.stack([np.searchsorted(s, v) + np.searchsorted(s, v, "right") for v, s in ordered])
+    return abs(float(np.corrcoef(ranks)[0, 1]))
+
+
+def _size_std(term: Term, campaign: CampaignRows) -> float:
     """Standard uncertainty of the RMS of a term over the rows, µm."""
     basis = term.effect.basis(term.form, term.theta, campaign.columns)
     centred = basis - np.mean(basis, axis=0)
     course = centred @ np.array(term.coefficients)
     size = max(float(np.std(course)), 1e-12)
     gradient = centred.T @ course / (len(course) * size)
-    covariance = np.array(term.covariance)[:k, :k]
+    covariance = np.array(term.covariance)[: len(gradient), : len(gradient)]
     return float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
 
 

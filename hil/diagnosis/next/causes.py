@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.joining import SET, segments
-from hil.diagnosis.model.candidates import Catalogue, effects_beside
+from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.diagnosing import rows_of
 from hil.diagnosis.model.evidence import Candidate, Fit, Part
 from hil.diagnosis.model.policy import USUAL
@@ -114,12 +114,12 @@ def _weigh_part(
 ) -> list[Hypothesis]:
     """The gain of each cause over none in records of complete columns; causes that they cannot show are left out."""
     rows = rows_of(prepare(records), declared)
-    search = Search(rows, Catalogue(rows, effects_beside(rows, effects)), None)
+    search = Search(rows, Catalogue(rows, effects))
     known = [term for term in beside if all(name in rows.campaign.columns for name in term.needs)]
     parts = tuple(_part_of(search, term) for term in known)
     scored = search.scored(parts)
     found: dict[str, Hypothesis] = {}
-    shown = [(one.log_p - scored[0].log_p, one.part) for one in search.alternatives(parts)]
+    shown = [(one.log_p - scored[0].log_p, one.part) for one in search.alternatives(parts, remainder=False)]
     shown += [(one.gain, one.part) for one in search.catalogue.ranked([search.fit(parts)])]  # those far behind
     for gain, part in shown:
         if part.of is not None and part.name not in found:

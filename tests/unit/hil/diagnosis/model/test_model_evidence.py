@@ -12,7 +12,7 @@ from support.docs import PAGES
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.model.candidates import Catalogue
-from hil.diagnosis.model.evidence import Columns, Fit, Noise, Part, Profile, log_bayes, score
+from hil.diagnosis.model.evidence import Fit, Noise, Part, Profile, log_bayes, score
 from hil.diagnosis.model.rows import EVEN, ODD, OFFSET, Memory, Rows
 from hil.effects import ALL
 
@@ -63,7 +63,7 @@ def test_the_evidence_is_that_of_whole_matrices(noise: Noise) -> None:
     for parts in ([], [part(random=3)], [part(random=2), part(random=2)]):
         v, x = dense(noise, parts, scale)
         expected = restricted(v, x, ROWS.y)[0] + noise.log_prior
-        assert Profile(rows, Columns.of(parts, N), noise.memory).value(noise.log_sd)[0] == pytest.approx(expected)
+        assert Profile(rows, parts, noise.memory).value(noise.log_sd)[0] == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("absorbed", [0, 1])
@@ -78,7 +78,7 @@ def test_columns_with_a_g_prior_have_the_bayes_factor_of_whole_matrices(noise: N
     g, dof = max(N, 10.0 / left), N - x.shape[1]
     # Liang et al., JASA 103 (2008), eq. 6: (1 + g)^((n - 1 - k) / 2) (1 + g (1 - R²))^(-(n - 1) / 2)
     factor = 0.5 * (dof - 2) * math.log(1 + g) - 0.5 * dof * math.log(1 + g * left)
-    value = Profile(ROWS, Columns.of([effect], N), noise.memory).value(noise.log_sd)[0]
+    value = Profile(ROWS, [effect], noise.memory).value(noise.log_sd)[0]
     assert value == pytest.approx(without + factor + noise.log_prior)
     assert Fit(ROWS, [], noise).gain(columns) == pytest.approx(factor, rel=1e-5)
 
@@ -86,7 +86,7 @@ def test_columns_with_a_g_prior_have_the_bayes_factor_of_whole_matrices(noise: N
 @pytest.mark.parametrize("noise", NOISES)
 def test_the_gradient_is_that_of_differences(noise: Noise) -> None:
     for parts in ([], [part(free=2), part(random=3)], [part(free=1, fixed=1)]):
-        profile = Profile(ROWS, Columns.of(parts, N), noise.memory)
+        profile = Profile(ROWS, parts, noise.memory)
         for i, step in enumerate(1e-4 * np.eye(3)):
             ends = [profile.value(noise.log_sd + sign * step)[0] for sign in (1.0, -1.0)]
             assert profile.value(noise.log_sd)[1][i] == pytest.approx((ends[0] - ends[1]) / 2e-4, abs=1e-3)
@@ -100,7 +100,7 @@ def test_a_random_part_gains_what_it_adds_to_the_evidence() -> None:
     apart = Fit(ROWS, [scaled], noise).log_p - Fit(ROWS, [], noise).log_p
     assert gain == pytest.approx(apart, abs=1e-6)
     both = np.hstack([block.random, part(random=4).random]).astype(np.float32)
-    assert Fit(ROWS, [], noise).random_gains(both.T, 4)[0] == pytest.approx(gain, abs=0.05)
+    assert Fit(ROWS, [], noise).random_gains(both.T, 4, "both")[0] == pytest.approx(gain, abs=0.05)
 
 
 def test_the_factor_of_one_column_by_hand() -> None:
