@@ -100,12 +100,13 @@ def _by_temperatures(
     found: Mapping[str, Finding], recorded: Collection[str], columns: Columns
 ) -> Iterator[tuple[str, str]]:
     has_thermometer = _has_thermometer(recorded)
-    did_ppm = {name: _did_ppm(name, recorded, columns) for name in PPM_PER_UNIT}
     if "thermal_drift" in found and not _follows_a_temperature(found["thermal_drift"]):
         yield "thermal_drift", "beam_drift"
     for name, by_air in (("thermal_drift", "dead_path"), ("thermal_expansion", "air_index")):
-        if by_air in found and not has_thermometer and did_ppm[PRESSURE] <= did_ppm[AIR_TEMPERATURE]:
-            yield by_air, name  # no part of a machine follows a barometer
+        if by_air in found and not has_thermometer:
+            did_ppm = {column: _did_ppm(column, recorded, columns) for column in PPM_PER_UNIT}
+            if did_ppm[PRESSURE] <= did_ppm[AIR_TEMPERATURE]:  # no part of a machine follows a barometer
+                yield by_air, name
         if name in found and _may_be_of_air(found[name], recorded, columns):
             yield name, by_air
 
