@@ -128,7 +128,7 @@ def measuring_job(
     """For the desk: returns a MeasuredLostMotion, beside what is stored as far as its password was given."""
 
     def work(place: Workplace) -> MeasuredLostMotion:
-        present = None if place.store is None else stored_now(place.store)
+        present = None if place.store is None else place.store.stored()
         if present is None and bound_tables(axis) is not None:
             place.tell(SEALED)
         machine = place.machine()
@@ -165,18 +165,13 @@ SEALED = (
 
 
 # -- store ---------------------------------------------------------------------------------------------------------------
-def stored_now(store: SealedStore) -> Compensation | None:
-    """The stored compensation, None without any. Raises what `SealedStore.load` raises."""
-    return store.stored()
-
-
 def store_measured(store: SealedStore, measured: MeasuredLostMotion) -> None:
     """Puts a measurement into force. Raises StateError for one whose proof failed or that was measured with another
     compensation.
     """
     if not measured.result.good:
         raise StateError("the correction is not proven to be an improvement: it is not stored")
-    now, then = stored_now(store), measured.present
+    now, then = store.stored(), measured.present
     if _in_force(now) != _in_force(then):
         raise StateError(
             "it was not measured with what is stored now: measure again, with the tables' reading password"

@@ -24,7 +24,7 @@ from hil.figures.uncertainty import Budget
 from hil.records.files import parse_json
 from hil.records.journal import FINISHED, name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
-from hil.report.issue import Order, builder_key, form, made_certificate, write_signed
+from hil.report.issue_certificate import Order, builder_key, form, made_certificate, write_signed
 from hil.report.job import now, write_report
 from hil.ui.terminal.output import write_json
 

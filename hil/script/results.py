@@ -214,7 +214,7 @@ class VerificationResult(MeasuredResult):
         if self.campaign is None:
             return super().certificate(path)
         from hil.desk.worker_process import Passes  # noqa: PLC0415
-        from hil.report.issue import Order, builder_key, made_certificate, write_signed  # noqa: PLC0415
+        from hil.report.issue_certificate import Order, builder_key, made_certificate, write_signed  # noqa: PLC0415
         from hil.report.job import named_campaign  # noqa: PLC0415  (plots are slow to import)
 
         if Path(path).suffix.lower() != ".pdf":

@@ -16,7 +16,6 @@ from hil.desk.job import Job, Workplace
 from hil.desk.plan import Move, Plan, Write
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace, by_standard
 from hil.lost_motion.circle.procedure import APPROACH_MM_S, RUN_IN_MM, CircleRun, check_axes, drive_circle, prepare
-from hil.lost_motion.job import stored_now
 from hil.machine.axes_wiring import connected_axes
 from hil.machine.events import Event, Listener, Measured, silent
 from hil.machine.machine import Machine
@@ -180,7 +179,7 @@ def circle_job(axes: Axes, circle: Circle, stores: Sequence[SealedStore | None])
     """
 
     def work(place: Workplace) -> DrivenCircle:
-        stored = [None if store is None else stored_now(store) for store in stores]
+        stored = [None if store is None else store.stored() for store in stores]
         with connected_axes(axes, waiting=place.waiting) as machines:
             for machine in machines:
                 place.watch(machine.axis.name, machine.session.drive, machine.session)
