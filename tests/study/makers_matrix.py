@@ -320,7 +320,7 @@ class Trial:
                     speeds.append(abs(self.watch.now_rev_s) * LEAD_MM)
                     if deadline.expired:
                         raise StopIteration
-                    self.clock.sleep_s(0.025)
+                    self.clock.sleep_s(0.01)
             except StopIteration:
                 self.row.failed = self.row.moved = True
                 self.row.reasons.append(
