@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from abc import ABC, abstractmethod
-from collections.abc import Collection
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import Annotated, Any
@@ -236,3 +236,65 @@ class CorrectionTable(ABC):
     def applied(self) -> int | None:
         """The value that the drive adds at present, raw in the table's value unit and sign; None where it does not report it."""
         return None
+
+
+PLACES = ("origin", "step", "backlash")
+"""Single numbers of the contents."""
+
+
+class TableOnWire(CorrectionTable):
+    """A table whose columns stand beside single numbers: of the contents, the number of points, the switch, the value applied.
+
+    singles: those that the drive has, "enable" among them; on, off: values of the switch.
+    """
+
+    singles: Mapping[str, Any]
+    on: int
+    off: int
+
+    @abstractmethod
+    def _numbers(self, names: Sequence[str]) -> dict[str, int]:
+        """Read single numbers."""
+
+    @abstractmethod
+    def _write_number(self, name: str, raw: int) -> None: ...
+
+    @abstractmethod
+    def _read_columns(self, count: int | None) -> dict[str, tuple[int, ...]]:
+        """The columns of so many points; None where the columns say themselves how many there are."""
+
+    @abstractmethod
+    def _write_columns(self, table: RawTable, present: RawTable | None) -> None: ...
+
+    def read(self) -> RawTable:
+        """The contents, raw. Raises ProtocolError for an impossible number of points."""
+        found = self._numbers([name for name in (*PLACES, "count") if name in self.singles])
+        count = found.pop("count", None)
+        if count is not None and not 0 <= count <= self.description.points:
+            raise ProtocolError(
+                f"drive {self.drive}: {self.description.name} says it holds {count} points, its map {self.description.points}"
+            )
+        return RawTable(**self._read_columns(count), **found)  # type: ignore[arg-type]
+
+    def _write(self, table: RawTable, present: RawTable | None) -> None:
+        for name in PLACES:
+            if name in self.singles and (present is None or getattr(present, name) != getattr(table, name)):
+                self._write_number(name, getattr(table, name))
+        self._write_columns(table, present)
+        if "count" in self.singles and (present is None or len(present.plus) != len(table.plus)):
+            self._write_number("count", len(table.plus))
+
+    def enabled(self) -> bool:
+        found = self._numbers(["enable"])["enable"]
+        if found not in (self.on, self.off):
+            raise ProtocolError(
+                f"drive {self.drive}: the switch of {self.description.name} ({self.singles['enable'].name}) is {found},"
+                f" expected {self.on} (on) or {self.off} (off)"
+            )
+        return found == self.on
+
+    def _switch(self, on: bool) -> None:
+        self._write_number("enable", self.on if on else self.off)
+
+    def applied(self) -> int | None:
+        return self._numbers(["applied"])["applied"] if "applied" in self.singles else None

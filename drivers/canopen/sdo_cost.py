@@ -5,10 +5,8 @@ from __future__ import annotations
 from drivers.canopen.sdo_transfer import MAX_BLOCK, SEGMENT
 from drivers.canopen.table_map import TableMap
 from drivers.canopen.wire_time import SDO_BYTES, frame_bits
-from drivers.correction_table import RawTable
+from drivers.correction_table import PLACES, RawTable
 from drivers.raw_parameters import WireTime
-
-_PLACES = ("origin", "step", "backlash")
 
 
 def transfer(size: int, bitrate: int) -> WireTime:
@@ -22,7 +20,7 @@ def table_s(table_map: TableMap, table: RawTable, bitrate: int) -> float:
 
     The drive's processing time is not included. bitrate: bit/s.
     """
-    singles = sum(name in table_map.scalars for name in _PLACES)
+    singles = sum(name in table_map.scalars for name in PLACES)
     if table_map.domain is None:
         singles += 1 + len(table_map.columns) * len(table.plus)  # 1: the count
         frames = 4 * singles

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from drivers.correction_table import CorrectionTable, RawTable
-from drivers.errors import ProtocolError
+from drivers.correction_table import RawTable, TableOnWire
 from drivers.modbus.codec import decode, encode
 from drivers.modbus.link import Doubt
 from drivers.modbus.plan import Span
@@ -14,10 +13,8 @@ from drivers.modbus.register_map import Memory, Register
 from drivers.modbus.table_map import TableBlocks
 from drivers.modbus.wear import WearLedger
 
-_PLACES = ("origin", "step", "backlash")
 
-
-class ModbusCorrectionTable(CorrectionTable):
+class ModbusCorrectionTable(TableOnWire):
     """The correction table of one open drive. wear: counts writes to EEPROM, one for each column and each change."""
 
     def __init__(self, drive: str, access: RegisterAccess, blocks: TableBlocks, wear: WearLedger) -> None:
@@ -25,21 +22,17 @@ class ModbusCorrectionTable(CorrectionTable):
         self.description = blocks.description
         self._access = access
         self._blocks = blocks
+        self.singles = {**blocks.scalars, "enable": blocks.enable}
+        self.on, self.off = blocks.on, blocks.off
         self._wear = wear
 
     # -- reading -------------------------------------------------------------------------------------------------------
-    def read(self) -> RawTable:
-        """The contents, raw. Raises ProtocolError for an impossible number of points."""
-        scalars = {name: each for name, each in self._blocks.scalars.items() if name != "applied"}
-        raw = self._access.integers([register.name for register in scalars.values()])
-        found = {name: raw[register.name] for name, register in scalars.items()}
-        count = found.pop("count")
-        if not 0 <= count <= self.description.points:
-            raise ProtocolError(
-                f"drive {self.drive}: {self.description.name} says it holds {count} points, its map {self.description.points}"
-            )
-        columns = {column: self._column(first, count) for column, first in self._blocks.columns.items()}
-        return RawTable(**columns, **found)  # type: ignore[arg-type]
+    def _numbers(self, names: Sequence[str]) -> dict[str, int]:
+        raw = self._access.integers([self.singles[name].name for name in names])
+        return {name: raw[self.singles[name].name] for name in names}
+
+    def _read_columns(self, count: int | None) -> dict[str, tuple[int, ...]]:
+        return {column: self._column(first, count or 0) for column, first in self._blocks.columns.items()}
 
     def _column(self, first: Register, count: int) -> tuple[int, ...]:
         words: list[int] = []
@@ -60,20 +53,15 @@ class ModbusCorrectionTable(CorrectionTable):
         left = [each.wear_budget - self._wear.writes(self.drive, each.name) for each in kept]
         return min(left, default=None)
 
-    def _write(self, table: RawTable, present: RawTable | None) -> None:
-        scalars = {name: getattr(table, name) for name in _PLACES if name in self._blocks.scalars}
-        before = {} if present is None else {name: getattr(present, name) for name in scalars}
-        for name, value in scalars.items():
-            if before.get(name) != value:
-                self._write_one(self._blocks.scalars[name], value)
+    def _write_number(self, name: str, raw: int) -> None:
+        register = self.singles[name]
+        if name != "enable":
+            self._charge(register)
+        self._access.write({register.name: raw})
+
+    def _write_columns(self, table: RawTable, present: RawTable | None) -> None:
         for column, first in self._blocks.columns.items():
             self._write_column(first, getattr(table, column), () if present is None else getattr(present, column))
-        if present is None or len(present.plus) != len(table.plus):
-            self._write_one(self._blocks.scalars["count"], len(table.plus))
-
-    def _write_one(self, register: Register, raw: int) -> None:
-        self._charge(register)
-        self._access.write({register.name: raw})
 
     def _write_column(self, first: Register, values: Sequence[int], before: Sequence[int]) -> None:
         """Write what differs from `before`, neighbouring registers in one request."""
@@ -101,23 +89,3 @@ class ModbusCorrectionTable(CorrectionTable):
     def _charge(self, register: Register) -> None:
         if register.memory is Memory.EEPROM:
             self._wear.charge(self.drive, register.name, register.wear_budget)
-
-    # -- the switch ----------------------------------------------------------------------------------------------------
-    def enabled(self) -> bool:
-        """Whether the switch register is on. Raises ProtocolError for a value that is neither on nor off."""
-        blocks = self._blocks
-        found = self._access.integers([blocks.enable.name])[blocks.enable.name]
-        if found not in (blocks.on, blocks.off):
-            raise ProtocolError(
-                f"drive {self.drive}: the switch of {self.description.name} ({blocks.enable.name}) is {found},"
-                f" expected {blocks.on} (on) or {blocks.off} (off)"
-            )
-        return found == blocks.on
-
-    def _switch(self, on: bool) -> None:
-        blocks = self._blocks
-        self._access.write({blocks.enable.name: blocks.on if on else blocks.off})
-
-    def applied(self) -> int | None:
-        register = self._blocks.scalars.get("applied")
-        return None if register is None else self._access.integers([register.name])[register.name]

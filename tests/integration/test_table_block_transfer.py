@@ -21,6 +21,7 @@ from drivers.canopen.table_map import load_table_map
 from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable
+from drivers.errors import ProtocolError
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft, CanBench
 from sim_backends.canopen_drive import EDS
 from sim_backends.own_table import ARRAY, error_domain
@@ -77,6 +78,18 @@ def test_what_an_array_takes_is_predicted_to_the_frame() -> None:
     predicted_s = table_s(held.map, wanted, 1_000_000)
     assert predicted_s == pytest.approx((bench.wire.frames - frames) * 135e-6)
     assert (bench.clock.now_ns() - start_ns) * 1e-9 <= predicted_s
+
+
+@pytest.mark.parametrize("name", ["simulated_array", "simulated_domain"])
+def test_a_switch_that_is_neither_on_nor_off_is_said(name: str) -> None:
+    bench = CanBench(node_ids=(NODE,), table=ARRAY if name == "simulated_array" else error_domain(10.0))
+    with CanLink(bench.port(), bench.clock) as link:
+        node = Node("X", link, NODE)
+        node.open()
+        held = CanOpenCorrectionTable(node, load_table_map(name))
+        bench.slave.dictionary.on_read(held.map.enable.index, held.map.enable.subindex, lambda: 7)
+        with pytest.raises(ProtocolError, match=r"is 7, expected 1 \(on\) or 0 \(off\)"):
+            held.switch(False)
 
 
 @pytest.fixture
