@@ -27,23 +27,21 @@ class Backup:
 
 
 def back_up(
-    drives: Sequence[RawParameters], *, name: str = "", everything: bool = False, progress: Progress = no_progress
+    drives: Sequence[RawParameters], *, everything: bool = False, progress: Progress = no_progress
 ) -> list[Backup]:
-    """Read every writable parameter of each drive, side by side. everything: also read-only ones; name: "", drive and time.
+    """Read every writable parameter of each drive, side by side. everything: also read-only ones.
 
     Errors of a drive or its wire become `Backup.error`.
     """
     backups, progress = [Backup(drive) for drive in drives], serialized(progress)
-    errors = run_together(
-        backups, lambda backup: backup.drive, lambda backup: _read(backup, name, everything, progress)
-    )
+    errors = run_together(backups, lambda backup: backup.drive, lambda backup: _read(backup, everything, progress))
     for backup, error in zip(backups, errors, strict=True):
         if error is not None:
             backup.error = ended_in(error)
     return backups
 
 
-def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> Steps[None]:
+def _read(backup: Backup, everything: bool, progress: Progress) -> Steps[None]:
     drive = backup.drive
     wanted = [entry for entry in drive.entries.values() if everything or entry.refusal is None]
     done = 0
@@ -64,7 +62,7 @@ def _read(backup: Backup, name: str, everything: bool, progress: Progress) -> St
         return
     shown = {access.address: access.data for access in accesses if access.data is not None}
     backup.unreadable = {access.address: ended_in(access.error) for access in accesses if access.error is not None}
-    title = name or f"{drive.name}, {datetime.now(UTC).isoformat(timespec='seconds')}"
+    title = f"{drive.name}, {datetime.now(UTC).isoformat(timespec='seconds')}"
     entries = [entry_of(drive, entry, shown[entry.address]) for entry in wanted if entry.address in shown]
     backup.contents = set_of(title, identity, entries)
 

@@ -752,7 +752,7 @@ def test_a_backup_is_of_what_may_be_written_unless_all_is_asked_for() -> None:
     drive.refusals["b"] = "read only"
     drive.on_read = fails_once(REFUSED, "a")
     done_s: list[tuple[int, int]] = []
-    kept = back_up([drive], name="n", progress=lambda *told: done_s.append(told[2:]))[0]
+    kept = back_up([drive], progress=lambda *told: done_s.append(told[2:]))[0]
     assert kept.contents is not None
     assert kept.contents.addresses == ("c",)
     assert list(kept.unreadable or {}) == ["a"]
