@@ -5,15 +5,14 @@ Contains truth physics (`plant`, numbers only), the drive firmware around it (`s
 tables; it never imports `hil`, so that its results are independent of the code under test.
 """
 
-from importlib import resources
 from pathlib import Path
 
 MODBUS_SHAPES = ("cia402", "vendor")
 """Register sets of the simulated Modbus drive."""
+GAUGE_KINDS = ("nd2xx", "mitutoyo", "ascii")
+"""Simulated instruments beside the laser."""
 
 
 def profile_paths() -> dict[str, Path]:
     """The profiles that come with the package, by name."""
-    folder = resources.files("sim_backends") / "profiles"
-    found = sorted(str(item) for item in folder.iterdir() if item.name.endswith(".toml"))
-    return {Path(item).stem: Path(item) for item in found}
+    return {path.stem: path for path in sorted((Path(__file__).parent / "profiles").glob("*.toml"))}

@@ -12,11 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import InputError
+from sim_backends import GAUGE_KINDS
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.terminal import DelayedLine, InstrumentTerminal
 
-GAUGE_KINDS = ("nd2xx", "mitutoyo", "ascii")
 _NS = 1_000_000_000
 _LISTEN_NS = 1_000_000  # longest time from a request to the stored value (HEIDENHAIN ND 261: Ctrl-B, at most 1 ms)
 _UNREAD = {FaultKind.BEAM_LOST, FaultKind.HEAD_ERROR, FaultKind.OVERSPEED}

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from hil.axis import BENCH_MACHINES, BENCH_TABLES
 from hil.ui.terminal.options import Later, Subparsers, verb_parser
-from sim_backends import MODBUS_SHAPES, profile_paths
+from sim_backends import GAUGE_KINDS, MODBUS_SHAPES, profile_paths
 from sim_backends.faults import CanFaultKind, FaultKind, WireFaultKind, fault_names
-from sim_backends.gauge import GAUGE_KINDS
 from sim_backends.homing import HOMING_METHODS, LIMIT_SWITCH_AND_INDEX
 
 EXAMPLE = """\

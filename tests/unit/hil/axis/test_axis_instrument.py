@@ -17,8 +17,8 @@ from hil.axis.identity import instrument_identity
 from hil.axis.instrument import KINDS
 from hil.machine.instruments import build_instrument
 from hil.machine.simulated_file import instrument_text
+from sim_backends import GAUGE_KINDS
 from sim_backends.clock import SimClock
-from sim_backends.gauge import GAUGE_KINDS
 
 RECORDING = "time_s,laser_mm\n0,1\n1,2\n"
 SECTIONS = {
