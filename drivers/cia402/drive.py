@@ -26,7 +26,7 @@ from drivers.cia402.units import motion_units, read_units, readings
 from drivers.cia402.wire import ObjectAccess, ProcessImage
 from drivers.clock import Clock
 from drivers.drive import FAULTS, DriveSample, DriveState, DriveZero, HomingSpeeds
-from drivers.errors import CapabilityError, DriveFaultError, MotionTimeoutError, StateError
+from drivers.errors import CapabilityError, MotionTimeoutError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
 from drivers.shutdown import StoppableDrive
@@ -282,22 +282,16 @@ class Cia402Drive(StoppableDrive):
         with self._no_motion_after_errors():
             self.homing.start(self.settings.homing, self.units)
 
-    def home(self, timeout_s: float, *, attempts: int = 1) -> DriveSample:
-        """Home and wait for it, at most `timeout_s` seconds per attempt; a homing that fails is repeated, `attempts` times in all.
-
-        Raises DriveFaultError after the last failure, MotionTimeoutError when an attempt does not end in time (the axis is stopped).
+    def home(self, timeout_s: float) -> DriveSample:
+        """Home and wait for it, at most `timeout_s` seconds. Raises DriveFaultError when it fails, MotionTimeoutError when it does not
+        end in time (the axis is stopped).
         """
-        for attempt in range(1, max(1, attempts) + 1):
-            self.start_homing()
-            try:
-                return self.wait_for(lambda sample: sample.homed is True or sample.state in FAULTS, timeout_s, "homed")
-            except DriveFaultError:
-                if attempt >= attempts:
-                    raise
-            except MotionTimeoutError:
-                self.quick_stop()
-                raise
-        raise StateError(f"drive {self.name}: expected at least one attempt to home")
+        self.start_homing()
+        try:
+            return self.wait_for(lambda sample: sample.homed is True or sample.state in FAULTS, timeout_s, "homed")
+        except MotionTimeoutError:
+            self.quick_stop()
+            raise
 
     # -- how it is stopped and disabled --------------------------------------------------------------------------------
     @property

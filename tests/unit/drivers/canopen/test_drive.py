@@ -317,14 +317,14 @@ def test_homing_settings_are_written_in_the_drives_units(make: MakeRig) -> None:
     assert rig.bench.servo.motor_rev * 10.0 == pytest.approx(-10.0, abs=0.02)
 
 
-def test_homing_is_tried_a_bounded_number_of_times(make: MakeRig) -> None:
+def test_a_homing_that_fails_is_not_tried_again(make: MakeRig) -> None:
     rig = make(homing=HomingSettings(method=-4))  # allowed by the dictionary, unknown to the motor
     drive = rig.enabled()
     begun: list[int] = []
     rig.bench.slave.dictionary.on_write(0x6040, 0, lambda word: begun.append(word) if word & 0x10 else None)
     with pytest.raises(DriveFaultError, match="homing failed"):
-        drive.home(5.0, attempts=3)
-    assert len(begun) == 3
+        drive.home(5.0)
+    assert len(begun) == 1
     assert drive.sample().state is DriveState.ENABLED
 
 
@@ -409,7 +409,7 @@ def test_the_place_after_a_homing_is_the_one_announced(
         assert drive.home(60.0).position_load_mm == pytest.approx(home_mm, abs=0.3)
         return
     with pytest.raises(ProtocolError, match=rf"was to show {home_mm:g} mm and shows") as caught:
-        drive.home(60.0, attempts=3)
+        drive.home(60.0)
     assert ("the other sign" in str(caught.value)) is (taken is _other_sign)
     rig.run(0.5)
     assert drive.sample().homed is False
@@ -430,7 +430,7 @@ def test_a_homing_that_does_not_end_is_stopped(make: MakeRig) -> None:
     rig = make(homing=HomingSettings(method=17, speed_switch_mm_s=1.0))
     drive = rig.enabled()
     with pytest.raises(MotionTimeoutError, match="homed not within 1 s"):
-        drive.home(1.0, attempts=3)
+        drive.home(1.0)
     rig.run(0.5)
     assert rig.bench.servo.velocity_actual_counts_s == 0
 
