@@ -119,7 +119,8 @@ def _log_bayes_slope(left: float, dof: float, k: int, n: int) -> float:
 class Profile:
     """The evidence under one memory as a function of the log standard deviations.
 
-    columns: of the parts, (n, r + k); white: Z X R C over the noise of the rows, of which C are the last k
+    columns: of the parts, (n, r + k); white: Z X R C over the noise of the rows, of which C are the last k. X and R have one prior
+    under all of them and are eliminated once.
     """
 
     def __init__(self, rows: Rows, parts: Sequence[Part], memory: Memory) -> None:
@@ -128,11 +129,11 @@ class Profile:
         self.columns = np.hstack([random, *others])
         own = rows.white(self.columns, memory)
         self.white, self.y, self._log_noise = np.hstack([base.columns, own]), base.y, base.log_noise
-        at, m = base.columns.shape[1], self.white.shape[1]
-        self.p, self.dof = at + random.shape[1], rows.n - rows.fixed.shape[1]
-        self.k = m - self.p
-        self._variance_1 = np.zeros(m - len(rows.group))
-        self._variance_1[rows.fixed.shape[1] : m - self.k - len(rows.group)] = 1.0
+        at, m, q = base.columns.shape[1], self.white.shape[1], len(rows.group)
+        p = at + random.shape[1]
+        self.k, self.dof = m - p, rows.n - rows.fixed.shape[1]
+        self._variance_1 = np.zeros(m - q)
+        self._variance_1[at - q : p - q] = 1.0
         gram = np.empty((m + 1, m + 1))
         gram[:at, :at] = base.gram
         gram[at:-1, :-1] = own.T @ self.white
@@ -140,7 +141,11 @@ class Profile:
         gram[-1, :-1] = gram[:-1, -1] = self.y @ self.white
         gram[-1, -1] = self.y @ self.y
         gram[np.arange(m), np.arange(m)] *= 1.0 + 1e-10
-        self._gram = gram
+        z_c_y = np.r_[:q, p : m + 1]
+        root = np.linalg.cholesky(gram[q:p, q:p] + np.diag(self._variance_1[: p - q]))
+        onto = inverse_of_lower(root) @ gram[q:p, z_c_y]
+        self._gram, self._beside = gram, gram[np.ix_(z_c_y, z_c_y)] - onto.T @ onto
+        self._log_x_r = 2.0 * float(np.sum(np.log(np.diag(root))))
 
     def ridge(self, log_sd: Floats) -> Floats:
         """Inverse variances of the columns, 0 of those without a prior of their own."""
@@ -148,32 +153,28 @@ class Profile:
 
     def gram(self, log_sd: Floats) -> Floats:
         """Products of the columns and, last, the errors, with the ridge, (m + 1, m + 1)."""
-        gram, ridge = self._gram.copy(), self.ridge(log_sd)
-        gram[np.arange(len(ridge)), np.arange(len(ridge))] += ridge
-        return gram
+        return self._gram + np.diag(np.append(self.ridge(log_sd), 0.0))
 
     def value(self, log_sd: Floats) -> tuple[float, Floats]:
         """Log evidence without the priors of the parts, and its gradient, (3,)."""
-        p, q = self.p, len(self.rows.group)
+        q = len(self.rows.group)
         ridge = self.ridge(log_sd)[:q]
         try:
-            lower = np.linalg.cholesky(self.gram(log_sd))
+            lower = np.linalg.cholesky(self._beside + np.diag(np.append(ridge, np.zeros(self.k + 1))))
         except np.linalg.LinAlgError:
             return -1e9, np.zeros(3)
         diagonal, last = np.diag(lower), lower[-1, :-1]
         rss = float(diagonal[-1]) ** 2
-        rss_0 = rss + float(last[p:] @ last[p:])
-        inverse = inverse_of_lower(lower[:-1, :-1])
-        in_a = inverse[:p, :q]
-        b_0 = last[:p] @ in_a
-        logs = 2.0 * float(np.sum(np.log(diagonal[:p]))) - float(np.sum(np.log(ridge)))
+        rss_0 = rss + float(last[q:] @ last[q:])
+        inverse = inverse_of_lower(lower[:-1, :-1])[:, :q]
+        b_0 = last[:q] @ inverse[:q]
+        logs = self._log_x_r + 2.0 * float(np.sum(np.log(diagonal[:q]))) - float(np.sum(np.log(ridge)))
         value = -0.5 * (logs + self._log_noise + self.dof * math.log(rss_0)) + Noise(self.memory, log_sd).log_prior
-        slope = ridge * (np.einsum("ij,ij->j", in_a, in_a) + self.dof * b_0**2 / rss_0) - 1.0
+        slope = ridge * (np.einsum("ij,ij->j", inverse[:q], inverse[:q]) + self.dof * b_0**2 / rss_0) - 1.0
         if self.k:
             left = rss / rss_0
             value += float(log_bayes(np.array(left), self.dof, self.k, self.rows.n))
-            b = last @ inverse[:, :q]
-            d_left = -2.0 * ridge * (b**2 - left * b_0**2) / rss_0
+            d_left = -2.0 * ridge * ((last @ inverse) ** 2 - left * b_0**2) / rss_0
             slope = slope + _log_bayes_slope(left, self.dof, self.k, self.rows.n) * d_left
         gradient = np.asarray(np.bincount(self.rows.group, slope, 3)[:3], dtype=np.float64)
         offset = (math.exp(float(log_sd[OFFSET])) / USUAL.correlated) ** 2
