@@ -38,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
     writes = args.write or args.write_um is not None
     if writes and how.parameter is None and isinstance(axis, AxisConfig) and not args.restore:
         store = open_store(args, axis, writing=True)
+    found = None
     with connected_drive(axis) as drive, telling_notes(drive):
         if args.restore:
             done = _restore(axis, how, drive)
@@ -49,7 +50,8 @@ def run(args: argparse.Namespace) -> int:
         else:
             with terminal_progress() as listener:
                 found = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
-            return _measured(args, axis, found)
+    if found is not None:
+        return _measured(args, axis, found)
     if args.json:
         write_json(args.json, {"axis": axis.name, **done})
     return 0

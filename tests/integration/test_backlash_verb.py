@@ -8,15 +8,16 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
-from contextlib import nullcontext
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import pytest
 from support.backlash_axis import QUICK, lay_out
 
+from drivers.drive import ServoDrive
 from hil.app.main import main
-from hil.axis.axis_file import load_drive_axis
+from hil.axis.axis_file import DriveAxis, load_drive_axis
 from hil.backlash.job import backlash_config
 from hil.backlash.settings import backlash_settings
 from hil.machine.wiring import connected_drive
@@ -44,6 +45,23 @@ def test_measure_and_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) ->
     rows = [json.loads(line) for line in (tmp_path / "X-campaign/backlash-001.jsonl").read_text().splitlines()]
     assert [(row["run"], row["direction"]) for row in rows] == [(1, -1), (1, 1)]
     assert "± " in capsys.readouterr().out
+
+
+def test_the_drive_is_let_go_before_the_result_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A report takes seconds, in which a drive that is still connected would miss its master."""
+    axis, out = lay_out(tmp_path), tmp_path / "out.json"
+    written: list[bool] = []
+
+    @contextmanager
+    def seen(which: DriveAxis) -> Iterator[ServoDrive]:
+        with connected_drive(which) as drive:
+            yield drive
+            written.append(out.exists())
+
+    monkeypatch.setattr("hil.backlash.command.connected_drive", seen)
+    assert main(["backlash", str(axis), "--json", str(out)]) == 0
+    assert written == [False]
+    assert out.exists()
 
 
 def test_a_creep_finds_what_steps_find(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
