@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from hypothesis import settings
 from support.bench_axis import PASSWORDS
 
 from hil.correction.sealed import Cost, save_private_key
@@ -23,6 +24,9 @@ Until = Callable[[Callable[[], bool], str], None]
 VCAN = ("vcan0", "vcan1")
 BENCH = Path(__file__).parent / "bench"
 GUEST_SUMMARY = "vcan guest"
+
+settings.register_profile("no deadline", deadline=None)  # an example waits on a busy host
+settings.load_profile("no deadline")
 
 
 def vcan_here() -> bool:

@@ -203,7 +203,7 @@ noise = st.lists(st.one_of(st.sampled_from(LINES), st.binary(max_size=40)), max_
     ids=["nd2xx", "number", "mitutoyo"],
 )
 @given(chunks=noise)
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_nothing_upsets_a_decoder(make: Callable[[], ValueProtocol], good: bytes, chunks: list[bytes]) -> None:
     decoder = make()
     for chunk in chunks:

@@ -96,7 +96,7 @@ def test_every_part_of_every_file_we_ship_has_the_line_that_names_it(path: Path)
         st.sampled_from(["\n", "# x = [", 'a = "]"', "[{", "'''\n[t]\n'''", "{ b = 1 }", "1,", "]", "\\"]), max_size=8
     )
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_any_valid_document_is_scanned_to_its_end(parts: list[str]) -> None:
     text = "k = [" + "\n".join(parts) + "\n]\nlast = 1\n"
     try:

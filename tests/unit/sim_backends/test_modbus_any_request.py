@@ -35,7 +35,7 @@ likely = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 @given(pdu=st.one_of(st.binary(max_size=253), likely), which=st.integers(0, 1))
 def test_every_request_is_answered_in_kind(pdu: bytes, which: int) -> None:
     reply = answer(FACES[which], pdu)

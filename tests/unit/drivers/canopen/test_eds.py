@@ -338,13 +338,13 @@ def test_files_that_are_none_are_refused(tmp_path: Path) -> None:
         load_eds(empty)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.text(max_size=400))
 def test_any_text_is_taken_apart_without_an_error(text: str) -> None:
     parse(text)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.sampled_from(VENDOR.splitlines()), max_size=60))
 def test_any_shuffle_of_a_files_lines_is_read_or_refused(
     tmp_path_factory: pytest.TempPathFactory, lines: list[str]

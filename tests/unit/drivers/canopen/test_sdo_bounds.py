@@ -570,7 +570,7 @@ def check_what_was_read(data: bytes, heard: list[bytes], commands: tuple[int, ..
         assert last[0] & 1
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(kind=st.sampled_from(sorted(KINDS)), frames=st.lists(FRAMES, max_size=40))
 @example(kind="block upload", frames=A_BLOCK)
 @example(kind="block upload", frames=[b"\xc2" + MUX + b"\x14\0\0\0", *A_BLOCK[1:]])  # 20 bytes announced, 14 come
@@ -596,7 +596,7 @@ def test_no_frames_make_a_transfer_return_what_was_not_announced(kind: str, fram
     assert talk.carried <= MOST + 10  # whole segments, and the one that was too many
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     kind=st.sampled_from(sorted(KINDS)),
     answers=st.lists(st.tuples(st.integers(1, 600), FRAMES), min_size=1, max_size=8),

@@ -68,7 +68,7 @@ def test_a_refusal_names_drive_object_and_reason(desk: Desk) -> None:
     assert desk.stored(objects.QUICK_STOP_OPTION) == 2
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(data=st.binary(max_size=1200), block=st.booleans(), bitrate=st.sampled_from([None, 1_000_000]))
 def test_any_length_comes_back_as_it_was_written(data: bytes, block: bool, bitrate: int | None) -> None:
     desk = Desk(bitrate=bitrate)

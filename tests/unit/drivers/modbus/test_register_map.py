@@ -432,7 +432,7 @@ def _load(path: Path, text: str) -> None:
     assert not complaint or str(path) in complaint
 
 
-@settings(max_examples=30, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damaged_lines(tmp_path: Path, data: st.DataObject) -> None:
     lines = TEXTS[data.draw(st.sampled_from(sorted(TEXTS)))].splitlines()

@@ -266,7 +266,7 @@ def test_the_purpose_of_a_campaign_changes_with_what_decides_its_rows(
     st.floats(0, 0.9),
     st.integers(0, 2**31),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_targets_ascend_stay_between_the_ends_and_are_not_equally_spaced(
     first: float, length: float, sections: int, share: float, seed: int
 ) -> None:

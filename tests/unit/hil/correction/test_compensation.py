@@ -92,7 +92,7 @@ def machines(draw: st.DrawFn) -> Machine:
 
 
 @given(st.data(), machines())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_at_rest_on_a_target_the_correction_is_the_tables_value_for_its_direction(
     data: st.DataObject, machine: Machine
 ) -> None:
@@ -126,7 +126,7 @@ def test_at_rest_on_a_target_the_correction_is_the_tables_value_for_its_directio
 
 
 @given(machines(), st.sampled_from([1, -1]), st.integers(1, 5))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_commanding_the_same_target_again_adds_nothing(machine: Machine, direction: int, times: int) -> None:
     engine = Compensation(machine.tables)
     target = machine.sections_mm[-1]
@@ -157,7 +157,7 @@ class LostMotionMachine:
     st.sampled_from(TableMode),
     st.lists(st.integers(0, 10), min_size=1, max_size=30),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_machine_with_play_stands_on_its_targets_after_any_sequence(
     play_mm: float, wave_um: float, mode: TableMode, visits: list[int]
 ) -> None:
@@ -214,7 +214,7 @@ def test_strokes_of_the_first_motion_and_after_every_loop_has_closed() -> None:
 
 
 @given(st.floats(-100, 100), st.lists(st.floats(-100, 100), min_size=1, max_size=20))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_history_is_that_of_the_whole_path(start: float, path: list[float]) -> None:
     """Against a recount of the whole path at every point."""
     history = MotionHistory(start)
@@ -240,7 +240,7 @@ def test_history_is_that_of_the_whole_path(start: float, path: list[float]) -> N
 
 
 @given(st.lists(st.integers(-400, 400), min_size=1, max_size=30))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_the_engine_remembers_the_strokes_that_the_diagnosis_rebuilds_from_its_rows(path: list[int]) -> None:
     """A row holds a place, the travel since the reversal and the stroke before it."""
     history = MotionHistory(1000.0).moved_to(0.0).moved_to(1000.0)

@@ -24,7 +24,7 @@ from hil.correction.tables import DirectionalTable, SingleTable, TableMode, Tabl
 Floats = NDArray[np.float64]
 LENIENT = {"grblhal": {"tolerance_um": 99.0}, "fluidnc": {"tolerance_um": 99.0, "steps_per_mm": 800.0}}
 """Settings with which controls that hold no table write what they can hold."""
-MANY = settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
+MANY = settings(max_examples=50, suppress_health_check=[HealthCheck.too_slow], derandomize=True)
 
 
 def _curve(rng: np.random.Generator, positions: Floats, size_um: float) -> Floats:
@@ -571,7 +571,7 @@ SMALL = TableSet(
 )
 
 
-@settings(max_examples=150, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=150, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 @given(st.sampled_from(CONTROLLERS), st.data())
 def test_a_damaged_file_gives_tables_or_one_kind_of_error(controller: Controller, data: st.DataObject) -> None:
     """Lines lost, doubled, swapped, characters changed: never an exception of another kind, never a run-away."""

@@ -74,7 +74,7 @@ bounds = st.builds(CorrectionBound, st.floats(1, 1e4), st.floats(0.1, 100))
 
 
 @given(st.data(), corrections(), bounds)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_no_command_ever_leaves_the_bound(
     data: st.DataObject, compensation: Compensation, bound: CorrectionBound
 ) -> None:
@@ -102,7 +102,7 @@ def test_no_command_ever_leaves_the_bound(
 
 
 @given(corrections().map(lambda one: replace(one, terms=())), bounds)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_tables_that_pass_hold_the_bound_everywhere_and_those_that_do_not_break_it_where_it_says(
     compensation: Compensation, bound: CorrectionBound
 ) -> None:

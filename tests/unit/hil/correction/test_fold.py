@@ -45,7 +45,7 @@ def worn(centre_mm: float, width_mm: float, height_um: float) -> Term:
 LAG = term("velocity_lag", "proportional", ["velocity_mm_s", "direction"], {}, [0.02])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     period=st.floats(2.0, 60.0),
     size=st.floats(0.1, 10.0),

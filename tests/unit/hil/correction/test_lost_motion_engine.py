@@ -28,7 +28,7 @@ lengths = st.one_of(st.integers(-12, 12).map(lambda n: n / 4), st.floats(-8.0, 8
 
 
 @pytest.mark.parametrize("tables", [BOTH, ONE])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(path=st.lists(lengths, min_size=1, max_size=25))
 def test_no_step_in_the_command_larger_than_slope_times_travel(tables: TableSet, path: list[float]) -> None:
     engine = Compensation(tables, (), RISE)

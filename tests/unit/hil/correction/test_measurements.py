@@ -52,7 +52,7 @@ def as_lin(records: Records, separator: str = ", ", lines: int = 1) -> str:
     return head + positions + body + "Identify=AirTemp,TextUnit=20.1 C\n"
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([", ", " ", ";", "\t"]), st.integers(1, 3))
 def test_keysight_cycles_run_forward_then_back(seed: int, separator: str, lines: int) -> None:
     wanted = campaign(seed)
@@ -148,7 +148,7 @@ def test_csv_units(unit: str, factor: float) -> None:
     assert records.measured_mm[0] == pytest.approx(2 * factor)
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=100, derandomize=True)
 @given(st.integers(0, 2**32 - 1))
 def test_csv_run_and_direction_from_the_order(seed: int) -> None:
     wanted = campaign(seed)
@@ -333,7 +333,7 @@ def rtl(records: Records, flags: str = "0 0 2 0") -> str:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_an_rtl_file_is_the_campaign_that_it_was_written_from(seed: int) -> None:
     same(renishaw.load(rtl(campaign(seed))), campaign(seed))
 
@@ -393,7 +393,7 @@ def listing(records: Records) -> str:
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 def test_lines_by_a_pattern_are_the_campaign_that_they_list(seed: int) -> None:
     """Run and direction are in no line: they are read from the order of the targets."""
     found = lines.load(listing(campaign(seed)), lines.LinesSettings(PATTERN))

@@ -34,7 +34,7 @@ def run(form: TwoTanh, state: WindUp, travels: list[float]) -> tuple[WindUp, lis
     return state, course
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(forms, directions, paths)
 def test_no_step_larger_than_slope_times_travel_and_never_beyond_its_ends(
     form: TwoTanh, direction: int, path: list[float]
@@ -46,7 +46,7 @@ def test_no_step_larger_than_slope_times_travel_and_never_beyond_its_ends(
         assert -1e-9 <= c1 <= form.amount_um + 1e-9
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(forms, directions, paths, st.integers(2, 7))
 def test_how_a_motion_is_cut_into_set_points_makes_no_difference(
     form: TwoTanh, direction: int, path: list[float], parts: int
@@ -61,7 +61,7 @@ def test_how_a_motion_is_cut_into_set_points_makes_no_difference(
         assert fine == pytest.approx(whole, abs=1e-9)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(forms, paths, directions, st.floats(0.0, 1.0))
 def test_after_a_full_stroke_it_is_the_published_form_whatever_was_before(
     form: TwoTanh, path: list[float], direction: int, share: float
@@ -77,7 +77,7 @@ def test_after_a_full_stroke_it_is_the_published_form_whatever_was_before(
     assert at_turn == pytest.approx(0.0 if direction > 0 else form.amount_um, abs=1e-8)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(forms, directions, paths, st.floats(0.01, 1.0), st.integers(1, 5))
 def test_a_short_stroke_and_back_leaves_no_trace_however_often(
     form: TwoTanh, direction: int, path: list[float], share: float, times: int

@@ -119,7 +119,7 @@ def flipped(data: bytes, position: int, bit: int) -> bytes:
     ),
     password=st.text(min_size=1, max_size=30).filter(lambda text: text.isprintable()),
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_what_is_sealed_opens_again(entries: dict[str, bytes], password: str) -> None:
     data = seal(entries, password, BUILDER, cost=CHEAP)
     assert open_sealed(data, password, PUBLIC) == entries
@@ -380,7 +380,7 @@ def test_every_shorter_file_is_refused_as_truncated() -> None:
 
 
 @given(data=st.binary(max_size=400))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_arbitrary_bytes_are_refused_cleanly(data: bytes) -> None:
     for form in (data, b"HILSEAL\x01" + data, SEALED[:60] + data, SEALED + data + b"."):
         with pytest.raises(SealedError):
@@ -394,7 +394,7 @@ def test_arbitrary_bytes_are_refused_cleanly(data: bytes) -> None:
         max_leaves=8,
     )
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_strange_header_is_damage_even_if_signed(header: object) -> None:
     with pytest.raises(DamagedError):
         check(with_header(SEALED, json.dumps(header).encode(), BUILDER), PUBLIC)

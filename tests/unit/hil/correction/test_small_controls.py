@@ -59,7 +59,7 @@ def test_a_line_is_never_worse_than_none() -> None:
     asymmetric=st.booleans(),
     mach3=st.booleans(),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_screw_map_is_read_back_within_what_it_says(
     curve: list[float], lost: float, wave: float, asymmetric: bool, mach3: bool
 ) -> None:

@@ -118,7 +118,7 @@ def outcome(compute: object) -> tuple[str, float]:
         return f"{type(error).__name__}: {error}", math.nan
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(corrections(), targets, bounds, st.data())
 def test_every_set_point_is_that_of_a_single_command(
     compensation: Compensation, targets_mm: list[float], bound: CorrectionBound, data: st.DataObject
@@ -154,7 +154,7 @@ def test_every_set_point_is_that_of_a_single_command(
             points.actual = (points.actual or history).moved_to(target_mm - 0.01 * history.direction)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(corrections(), st.integers(0, 2**32))
 def test_a_motion_in_fine_steps(compensation: Compensation, seed: int) -> None:
     """Strokes of all lengths, in each of which a thousand set-points are computed along one branch."""

@@ -118,7 +118,7 @@ POSITIONS = st.lists(st.floats(-100, 1100), min_size=1, max_size=10)
 
 
 @given(table_sets(), POSITIONS, st.sampled_from([1, -1]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_correction_is_what_an_exact_interpolation_gives(tables: TableSet, at: list[float], direction: int) -> None:
     found = tables.correction_um(np.array(at), direction)
     expected = [expected_correction_um(tables, position, direction) for position in at]
@@ -126,7 +126,7 @@ def test_correction_is_what_an_exact_interpolation_gives(tables: TableSet, at: l
 
 
 @given(table_sets(), POSITIONS, st.sampled_from([1, -1]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_one_combined_store_gives_the_same_output_everywhere(tables: TableSet, at: list[float], direction: int) -> None:
     combined = tables.combined()
     assert combined.specified is None
@@ -159,7 +159,7 @@ def test_straightness_stored_before_it_had_directions_is_read_for_both() -> None
 
 
 @given(table_sets(cross_axis=False), POSITIONS, st.sampled_from([1, -1]), shares)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_sharing_out_to_straightness_keeps_the_total_everywhere(
     tables: TableSet, at: list[float], direction: int, share: float
 ) -> None:
@@ -232,7 +232,7 @@ def test_combining_keeps_a_backlash_that_was_entered_by_hand() -> None:
 
 
 @given(table_sets())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_plain_form_gives_the_tables_back_bit_for_bit(tables: TableSet) -> None:
     again = TableSet.from_dict(json.loads(json.dumps(tables.to_dict())))
     assert again == tables
@@ -429,7 +429,7 @@ def test_means_and_pooled_standard_deviation_of_the_worked_example() -> None:
 
 
 @given(st.permutations(range(12)))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_the_order_of_rows_does_not_matter(order: list[int]) -> None:
     tables, shuffled = compute_tables(worked_records()), compute_tables(worked_records(order))
     assert shuffled.pitch.plus_um == pytest.approx(tables.pitch.plus_um)
@@ -450,7 +450,7 @@ def measured(draw: st.DrawFn) -> Records:
 
 
 @given(measured(), st.lists(st.floats(-50, 1050), min_size=1, max_size=5))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_one_direction_and_backlash_equals_both_directions_everywhere(rows: Records, between: list[float]) -> None:
     both = compute_tables(rows, TableMode.BIDIRECTIONAL)
     one = compute_tables(rows, TableMode.UNIDIRECTIONAL_BACKLASH)
@@ -480,7 +480,7 @@ def test_a_backlash_measured_by_other_means_counts_once_on_its_own_positions() -
 
 
 @given(table_sets(cross_axis=False), POSITIONS)
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_two_directions_differ_by_the_entered_backlash_alone(tables: TableSet, at: list[float]) -> None:
     amount = SingleTable(np.array([-20.0, 40.0]), np.array([3.0, 11.0]))
     entered = tables.with_backlash(amount)
@@ -568,7 +568,7 @@ def test_a_section_the_table_does_not_have_is_refused() -> None:
     st.lists(st.tuples(st.floats(-20, 20), st.floats(-20, 20), st.floats(0.7, 1.3)), min_size=1, max_size=8),
     st.sampled_from([BAND, Band(-7.0, -6.0), Band(-0.5, 0.5)]),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_revising_converges_on_machines_whose_tables_are_wrong(
     sections: list[tuple[float, float, float]], band: Band
 ) -> None:

@@ -46,7 +46,7 @@ def test_folds_are_whole_runs_or_parts_of_the_only_one(runs: int, how: str) -> N
 
 
 @given(st.lists(st.floats(-10.0, 10.0), min_size=2, max_size=8), st.floats(0.1, 100.0))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_a_gain_counts_when_it_is_above_its_standard_error_whatever_the_unit(gain: list[float], unit: float) -> None:
     values, fold = np.array(gain), np.arange(len(gain))
     before, after = np.sqrt(20.0 + values), np.full(len(gain), np.sqrt(20.0))

@@ -14,7 +14,7 @@ KNOTS = np.array([0.0, 11.0, 30.0, 42.0, 55.0, 71.0, 90.0, 100.0])
 
 
 @given(st.lists(st.floats(-50.0, 50.0), min_size=8, max_size=8))
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 def test_values_at_the_knots_give_the_natural_spline_through_them(values: list[float]) -> None:
     x = np.linspace(0.0, 100.0, 41)
     expected = CubicSpline(KNOTS, values, bc_type="natural")(x)
@@ -64,7 +64,7 @@ def test_targets_within_a_twentieth_of_the_spacing_are_one() -> None:
 
 
 @given(st.integers(5, 60), st.integers(2, 12), st.floats(0.2, 1.0))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_scattered_targets_get_no_more_knots_than_a_pass_can_fix(targets: int, runs: int, scatter: float) -> None:
     rng = np.random.default_rng(targets)
     x = np.concatenate([np.arange(targets) + scatter * rng.uniform(-0.5, 0.5, targets) for _ in range(runs)])

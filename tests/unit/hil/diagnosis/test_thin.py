@@ -11,7 +11,7 @@ from hil.diagnosis.campaign import AllRows, kept_rows
 
 
 @given(st.integers(1, 300), st.integers(1, 60), st.integers(0, 9), st.integers(200, 900))
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 def test_rows_are_few_ascending_and_spread_over_each_run_kept(runs: int, rows: int, seed: int, most: int) -> None:
     run = np.repeat(np.arange(float(runs)), rows)
     kept = kept_rows(run, seed, most)

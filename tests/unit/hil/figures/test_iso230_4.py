@@ -66,7 +66,7 @@ def test_a_reversal_spike_of_known_height() -> None:
     orders=st.lists(st.tuples(st.integers(2, 9), st.floats(-20, 20), st.floats(0, 6.28)), min_size=0, max_size=4),
     seed=st.integers(0, 1000),
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_the_circle_is_that_of_an_independent_least_squares(
     centre: tuple[float, float], radius: float, orders: list[tuple[int, float, float]], seed: int
 ) -> None:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from hil.fleet.detect import CLIP, LEAST, arl, cusum, memory, scores, threshold_for, watch
@@ -64,7 +64,6 @@ def test_false_alarms_are_as_frequent_as_stated() -> None:
     assert values / alarms == pytest.approx(wanted, rel=0.25)
 
 
-@settings(deadline=None)
 @given(st.floats(1e-3, 1e3), st.floats(-1e3, 1e3), st.integers(0, 100))
 def test_units_and_zero_change_no_score(factor: float, shift: float, seed: int) -> None:
     values = np.random.default_rng(seed).normal(0.0, 1.0, 12)

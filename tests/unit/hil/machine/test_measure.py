@@ -68,7 +68,7 @@ def test_only_the_wanted_sections_are_visited_each_in_its_direction() -> None:
 
 
 @given(st.integers(1, 10**6))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_other_targets_lie_one_in_each_interval_away_from_its_ends(seed: int) -> None:
     found = other_targets(MEASUREMENT, seed)
     assert found == other_targets(MEASUREMENT, seed)
@@ -120,7 +120,7 @@ class Witness:
         max_size=8,
     )
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_every_target_is_reached_in_its_direction_after_at_least_the_overrun(
     tmp_path_factory: pytest.TempPathFactory, steps: list[Step]
 ) -> None:

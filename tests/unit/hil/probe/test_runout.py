@@ -50,7 +50,7 @@ def test_the_pretravel_lengthens_every_feed_and_is_given_back_to_the_radius() ->
 
 
 @pytest.mark.parametrize("facing", [1, -1])
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.complex_numbers(max_magnitude=0.2), st.floats(0.3, 4.0), st.floats(5.0, 9.0), st.floats(-0.002, 0.002))
 def test_a_ball_turned_about_the_spindle_gives_its_place_back(
     facing: int, ball: complex, radius: float, distance: float, z: float

@@ -91,7 +91,7 @@ def test_a_file_that_withdraws_more_rows_than_there_are_is_refused(tmp_path: Pat
 
 
 @given(st.integers(0, 4), st.integers(0, 400), st.booleans())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_torn_at_any_byte_what_was_whole_is_kept_and_what_was_torn_is_dropped(
     tmp_path_factory: pytest.TempPathFactory, rows: int, cut: int, comment: bool
 ) -> None:

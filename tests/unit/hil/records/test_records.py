@@ -59,13 +59,13 @@ def same_bits(one: Records, other: Records) -> bool:
 
 
 @given(records(), st.text(string.printable + "µ\u2028\x85", max_size=30))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_round_trip_is_bit_exact_in_every_column(rows: Records, comment: str) -> None:
     assert same_bits(parse_csv(to_csv(rows, comment)), rows)
 
 
 @given(records(), st.sampled_from(["\n", "\r\n", "\r"]), st.booleans())
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_line_ends_byte_order_mark_and_a_missing_last_line_end_do_not_matter(
     rows: Records, line_end: str, bom: bool
 ) -> None:

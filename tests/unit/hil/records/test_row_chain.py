@@ -81,7 +81,7 @@ def test_what_was_left_is_gone_on_with(whole: Path, tmp_path_factory: pytest.Tem
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_byte_changed_anywhere_in_confirmed_lines_is_refused_with_its_line(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -103,7 +103,7 @@ def test_a_byte_changed_anywhere_in_confirmed_lines_is_refused_with_its_line(
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_byte_changed_anywhere_in_the_chain_is_refused_or_costs_the_last_row(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -140,7 +140,7 @@ def moved(lines: list[bytes], data: st.DataObject) -> list[bytes]:
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_a_line_moved_doubled_inserted_or_deleted_is_refused_with_the_first_line_that_differs(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -160,7 +160,7 @@ def test_a_line_moved_doubled_inserted_or_deleted_is_refused_with_the_first_line
 
 
 @given(st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_either_file_cut_off_anywhere_is_refused_unless_a_crash_leaves_it_so(
     whole: Path, tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
 ) -> None:
@@ -186,7 +186,7 @@ class PowerLoss(Exception):  # noqa: N818
 
 
 @given(st.integers(0, 900), st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @pytest.mark.outside
 def test_power_lost_at_any_byte_costs_at_most_the_row_that_was_being_written(
     tmp_path_factory: pytest.TempPathFactory, left: int, synced: bool
@@ -228,7 +228,7 @@ def test_power_lost_at_any_byte_costs_at_most_the_row_that_was_being_written(
 
 
 @given(st.integers(0, 30), st.booleans())
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_interrupted_at_any_call_the_campaign_is_closed_in_order_and_goes_on(
     tmp_path_factory: pytest.TempPathFactory, calls: int, done: bool
 ) -> None:

@@ -342,7 +342,7 @@ FINDING = st.fixed_dictionaries(
         ),
     )
 )
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_any_json_in_a_diagnosis_makes_a_page(found: dict[str, Any]) -> None:
     for diagnosed in (None, NamedCampaign("after", campaign_rows())):
         Page(section(found, diagnosed))
