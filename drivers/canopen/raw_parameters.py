@@ -15,6 +15,7 @@ from drivers.canopen.eds_text import summary
 from drivers.canopen.known_objects import FITTING, address_of, kind_of, known_objects, range_of, unit_text
 from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
+from drivers.canopen.pdo import SETTINGS
 from drivers.canopen.sdo import most_bytes
 from drivers.canopen.sdo_cost import transfer
 from drivers.canopen.side_by_side import CanLine
@@ -198,12 +199,9 @@ class CanOpenRawParameters(RawParameters):
         return [(f"{low[:4]}h{low[4:]}", f"{high[:4]}h{high[4:]}") for low, high in _PAIRS]
 
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
-        total = WireTime()
-        for address, data in (*reads, *writes):
-            parts = [part for _, part in PdoImage.unpack(data).items] if pdo_at(address) else [data]
-            for part in parts:
-                total = total + transfer(len(part), self.bitrate)
-        return total
+        sizes = [size for address, data in reads for size in _sizes(address, data, written=False)]
+        sizes += [size for address, data in writes for size in _sizes(address, data, written=True)]
+        return sum((transfer(size, self.bitrate) for size in sizes), WireTime())
 
     # -- transfers -------------------------------------------------------------------------------------------------------
     def _upload(self, entry: Entry) -> Steps[bytes]:
@@ -375,3 +373,15 @@ class CanOpenRawParameters(RawParameters):
 
 def _shown(found: EdsEntry) -> bool:
     return found.readable and found.entry.type is not DataType.DOMAIN
+
+
+def _sizes(address: str, data: bytes, *, written: bool) -> list[int]:
+    """Bytes of each transfer that reads or writes a parameter."""
+    if pdo_at(address) is None:
+        return [len(data)]
+    image = PdoImage.unpack(data)
+    given = [len(part) for _, part in image.items]
+    look = [*given, *(4 for sub in SETTINGS if (False, sub) not in image.numbers)]
+    return (
+        [*look, 4, 1, *given, *given] if written else look
+    )  # seen, disabled, cleared, written, its mapping seen, enabled

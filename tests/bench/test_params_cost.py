@@ -35,12 +35,12 @@ def eds(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return maker_eds(tmp_path_factory.mktemp("eds"), COUNT)
 
 
-def _predicted(rig: ParameterRig, contents: ParameterSet, differing: list[str] | None = None) -> list[Prediction]:
+def _predicted(rig: ParameterRig, contents: ParameterSet) -> list[Prediction]:
     found = []
     for drive in rig.drives:
         wanted, objections = match_set(drive, contents)
         assert not objections
-        found.append(predict(drive, wanted, differing))
+        found.append(predict(drive, wanted))
     return found
 
 

@@ -25,6 +25,7 @@ from hil.parameters.compare import compare
 from hil.parameters.download import download
 from hil.parameters.formats import read_any, write_any
 from hil.parameters.job import load_set
+from hil.parameters.preflight import match_set, predict
 from hil.parameters.recover import set_before
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, read_set, write_set
@@ -197,6 +198,21 @@ def test_a_concise_dcf_with_repeats_is_written_in_the_order_of_the_standard(rig:
     assert load(rig, read_set(path)).ending is Ending.WRITTEN
     assert rig.bench.slave.dictionary.number(0x1402, 1) == before
     assert compare([(rig.drives[0], read_set(path))])[0].same
+
+
+def test_a_pdo_takes_no_more_frames_than_predicted(maker: Path, tmp_path: Path) -> None:
+    rig, contents = ParameterRig(maker, tmp_path), read_any(concise(tmp_path, LELY))
+    with rig.stack:
+        (drive,), wire = rig.drives, rig.bench.wire
+        wanted, _ = match_set(drive, contents)
+        looked_at: list[int] = []
+        report = download(
+            [Target(drive, contents, rig.journals[0])],
+            progress=lambda stage, *_: looked_at.append(wire.frames) if stage == "look" else None,
+        )[0]
+        assert report.ending is Ending.WRITTEN
+        taken, most = wire.frames - looked_at[-1], predict(drive, wanted).write.frames
+    assert 0.8 * most <= taken <= most
 
 
 def test_a_pdo_that_is_refused_is_put_back(maker: Path, tmp_path: Path) -> None:
