@@ -184,7 +184,8 @@ class Verdict:
         others = sorted(may_carry - set(names))
         found = {
             name: tuple(other for other in others if _rank_correlation(self.campaign.columns, name, other) > ALIKE)
-            for name in may_carry.intersection(names)
+            for name in names
+            if name in may_carry
         }
         return {name: alike for name, alike in found.items() if alike}
 
