@@ -17,7 +17,7 @@ class AxisReading:
     instrument_raw_mm: as the instrument shows it
     std_um: standard deviation of one reading, if several were averaged
     target_mm, command_mm: target of the last `move_to`, without and with the correction; direction: of arrival there, +1, -1 or 0
-    since_reversal_mm, stroke_mm: commanded travel since the last reversal, and the length of the stroke before it
+    since_reversal_mm, stroke_mm: commanded travel since the last reversal, and length of the stroke before it, 1e6 before the first
     sensors: air, workpiece and conditions, by their columns in the record format
     """
 
