@@ -66,5 +66,5 @@ def _plant(found: Likeness, begin_mm: float, length_mm: float) -> PlantParameter
     return replace(
         plant,
         screw=replace(plant.screw, pitch_um=SmoothShape(points=error_um)),
-        backlash=Backlash(along_um=reversal_um, middle_mm=begin_mm + length_mm / 2, half_travel_mm=length_mm / 2),
+        backlash=Backlash(along_um=reversal_um),
     )

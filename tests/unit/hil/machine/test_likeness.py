@@ -233,3 +233,20 @@ def test_an_axis_whose_zero_is_within_its_travel_has_a_likeness(
     allowed_um = NOISES * max(noise_um(measured), noise_um(again))
     assert min(again.target_mm) < -200.0
     assert means_um(again) == pytest.approx(means_um(measured), abs=allowed_um)
+
+
+def test_an_axis_of_a_few_millimetres_has_a_likeness(source: tuple[Path, Records]) -> None:
+    """It is shorter than what a simulated axis travels beyond its length."""
+    marker = source[0] / "calibrate-001/campaign.json"
+    purpose = json.loads(marker.read_text())
+    purpose["limits"] |= {"travel_min_mm": -1.5, "travel_max_mm": 1.5}
+    marker.write_text(json.dumps(purpose))
+    path = alike(source[0])
+    text = path.read_text()
+    for here, there in (("-2.0", "-1.5"), ("502.0", "1.5"), ("20.0", "-0.5"), ("260.0", "0.5\noverrun_mm = 0.1")):
+        text = text.replace(f"_mm = {here}\n", f"_mm = {there}\n")
+    path.write_text(text)
+    with hil.open(path) as axis:
+        axis.home()
+        axis.move_to(0.5)
+        assert axis.read().instrument_mm == pytest.approx(0.5, abs=0.1)
