@@ -61,10 +61,6 @@ class Noise:
         """The same with offsets of the scale of their prior."""
         return replace(self, log_sd=np.minimum(self.log_sd, np.array([np.inf, np.inf, math.log(USUAL.correlated)])))
 
-    def smoother(self) -> Noise:
-        """The same with a table of a fifth of its roughness."""
-        return replace(self, log_sd=np.maximum(self.log_sd - np.array([1.6, 1.6, 0.0]), LOWEST))
-
 
 @dataclass(frozen=True)
 class Candidate:

@@ -58,11 +58,9 @@ class Search:
         return Fit(self.rows, parts, self.scored(parts)[0].noise)
 
     def _fits(self, parts: Sequence[Part]) -> list[Fit]:
-        """Under their likeliest noise model, another memory that is nearly as likely, a smoother table, and usual offsets."""
+        """Under their likeliest noise model, another memory that is nearly as likely, and usual offsets."""
         best, *others = self.scored(parts)
         noises = [best.noise, *[one.noise for one in others if one.log_p > best.log_p - SAME_NOISE][:1]]
-        if not self.rows.is_declared:
-            noises.append(best.noise.smoother())
         if best.noise.has_large_offsets:
             noises.append(best.noise.with_usual_offsets())
         return [Fit(self.rows, parts, noise) for noise in noises]

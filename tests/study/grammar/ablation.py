@@ -44,7 +44,6 @@ PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "few rows": (Search, "rests_on_few", lambda *_: False),
     "ranges": (Search, "_against", lambda *_: 0.0),
     "other noises": (Search, "_fits", lambda search, parts: [Fit(search.rows, parts, search.scored(parts)[0].noise)]),
-    "smoother table": (Noise, "smoother", lambda noise: noise),
     "usual offsets": (Noise, "has_large_offsets", False),
     "refined": (Catalogue, "refined", lambda _, part, __: part),
     "richer forms": (Catalogue, "richer", lambda *_: ()),
