@@ -77,6 +77,25 @@ def test_unpowered_takes_no_orders_and_demand_follows() -> None:
     assert rig.servo.position_actual_counts - at == coasted  # and does not jump back
 
 
+def test_quick_stop_holds_until_resumed() -> None:
+    rig = Rig()
+    rig.servo.power_on()
+    rig.servo.move_absolute(40 * REV, 10.0 * REV, 50.0 * REV)
+    rig.clock.sleep_s(1.0)
+    demand = rig.servo.position_demand_counts
+    rig.servo.quick_stop(100.0 * REV)
+    rig.clock.sleep_s(0.5)
+    assert rig.servo.position_demand_counts - demand == pytest.approx(0.5 * REV, abs=2)
+    rig.servo.move_absolute(0, REV, REV)
+    rig.clock.sleep_s(0.5)
+    assert rig.servo.stopping
+    assert rig.servo.position_demand_counts - demand == pytest.approx(0.5 * REV, abs=2)
+    rig.servo.resume()
+    rig.servo.move_absolute(0, 10.0 * REV, 50.0 * REV)
+    rig.until("target_reached")
+    assert rig.servo.position_actual_counts == pytest.approx(0, abs=3)
+
+
 @pytest.mark.parametrize(
     ("method", "home_counts"),
     [
