@@ -47,7 +47,7 @@ WARM = Exploration(runs=6, rows=34, warm_up_s=120.0)
 THOROUGH = Exploration(runs=8, rows=42, warm_up_s=20.0)
 """A worn zone is narrow: it takes more rows until some of them tell its flanks."""
 PLANS = {"thermal_expansion": WARM, "thermal_drift": WARM, "local_wear": THOROUGH}
-ON_THE_WIRE = "cyclic"
+ON_THE_WIRE = "thermal_drift"
 """The bus hands the same positions over whatever their error."""
 IN_MOTION_ONLY = {
     "velocity_lag"

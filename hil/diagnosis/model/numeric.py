@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-LEAF = 32
+LEAF = 64
 """Size of a triangular matrix up to which its inverse is that of any matrix."""
 LEAST_SLOPE = 1e-4
 SHORTEST = 1.0 / 64.0
