@@ -126,10 +126,10 @@ class Profile:
         own = rows.white(self.columns, memory)
         self.white, self.y, self._log_noise = np.hstack([base.columns, own]), base.y, base.log_noise
         at, m, q = base.columns.shape[1], self.white.shape[1], len(rows.group)
-        p = at + random.shape[1]
-        self.k, self.dof = m - p, rows.n - rows.fixed.shape[1]
+        self._p = at + random.shape[1]
+        self.k, self.dof = m - self._p, rows.n - rows.fixed.shape[1]
         self._variance_1 = np.zeros(m - q)
-        self._variance_1[at - q : p - q] = 1.0
+        self._variance_1[at - q : self._p - q] = 1.0
         gram = np.empty((m + 1, m + 1))
         gram[:at, :at] = base.gram
         gram[at:-1, :-1] = own.T @ self.white
@@ -137,11 +137,16 @@ class Profile:
         gram[-1, :-1] = gram[:-1, -1] = self.y @ self.white
         gram[-1, -1] = self.y @ self.y
         gram[np.arange(m), np.arange(m)] *= 1.0 + 1e-10
-        z_c_y = np.r_[:q, p : m + 1]
+        self._gram = gram
+
+    @cached_property
+    def _beside(self) -> tuple[Floats, float]:
+        """Products of Z, C and the errors with X and R eliminated, and the log determinant of these."""
+        gram, q, p = self._gram, len(self.rows.group), self._p
+        z_c_y = np.r_[:q, p : len(gram)]
         root = np.linalg.cholesky(gram[q:p, q:p] + np.diag(self._variance_1[: p - q]))
         onto = inverse_of_lower(root) @ gram[q:p, z_c_y]
-        self._gram, self._beside = gram, gram[np.ix_(z_c_y, z_c_y)] - onto.T @ onto
-        self._log_x_r = 2.0 * float(np.sum(np.log(np.diag(root))))
+        return gram[np.ix_(z_c_y, z_c_y)] - onto.T @ onto, 2.0 * float(np.sum(np.log(np.diag(root))))
 
     def ridge(self, log_sd: Floats) -> Floats:
         """Inverse variances of the columns, 0 of those without a prior of their own."""
@@ -154,9 +159,9 @@ class Profile:
     def value(self, log_sd: Floats) -> tuple[float, Floats]:
         """Log evidence without the priors of the parts, and its gradient, (3,)."""
         q = len(self.rows.group)
-        ridge = self.ridge(log_sd)[:q]
+        ridge, (beside, log_x_r) = self.ridge(log_sd)[:q], self._beside
         try:
-            lower = np.linalg.cholesky(self._beside + np.diag(np.append(ridge, np.zeros(self.k + 1))))
+            lower = np.linalg.cholesky(beside + np.diag(np.append(ridge, np.zeros(self.k + 1))))
         except np.linalg.LinAlgError:
             return -1e9, np.zeros(3)
         diagonal, last = np.diag(lower), lower[-1, :-1]
@@ -164,7 +169,7 @@ class Profile:
         rss_0 = rss + float(last[q:] @ last[q:])
         inverse = inverse_of_lower(lower[:-1, :-1])[:, :q]
         b_0 = last[:q] @ inverse[:q]
-        logs = self._log_x_r + 2.0 * float(np.sum(np.log(diagonal[:q]))) - float(np.sum(np.log(ridge)))
+        logs = log_x_r + 2.0 * float(np.sum(np.log(diagonal[:q]))) - float(np.sum(np.log(ridge)))
         value = -0.5 * (logs + self._log_noise + self.dof * math.log(rss_0)) + Noise(self.memory, log_sd).log_prior
         slope = ridge * (np.einsum("ij,ij->j", inverse[:q], inverse[:q]) + self.dof * b_0**2 / rss_0) - 1.0
         if self.k:
