@@ -382,6 +382,5 @@ def _sizes(address: str, data: bytes, *, written: bool) -> list[int]:
     image = PdoImage.unpack(data)
     given = [len(part) for _, part in image.items]
     look = [*given, *(4 for sub in SETTINGS if (False, sub) not in image.numbers)]
-    return (
-        [*look, 4, 1, *given, *given] if written else look
-    )  # seen, disabled, cleared, written, its mapping seen, enabled
+    # a write sees it first, disables and clears it, writes it, sees its mapping and enables it
+    return [*look, 4, 1, *given, *given] if written else look

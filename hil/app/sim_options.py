@@ -38,15 +38,21 @@ def add_parser(subparsers: Subparsers) -> None:
     _add_laser(parts)
 
 
-def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    drive = parts.add_parser(
+def _part(parts: Subparsers, name: str, words: str, description: str, known: str) -> argparse.ArgumentParser:
+    """The parser of a part. words: in the list of parts; known: names that its options take, below the example."""
+    layout = argparse.RawDescriptionHelpFormatter
+    epilog = f"{EXAMPLE}\n{known}"
+    return parts.add_parser(name, help=words, description=description, epilog=epilog, formatter_class=layout)
+
+
+def _add_drive(parts: Subparsers) -> None:
+    drive = _part(
+        parts,
         "drive",
-        help="a CiA-402 drive on a CAN interface",
-        description="A CiA-402 drive with its axis on a CAN interface, and on request the laser that looks at the axis.",
-        epilog=EXAMPLE
-        + f"\nfaults of the bus: {', '.join(fault_names(CanFaultKind))}"
-        + f"\n\nprofiles, as documented in the sources that each of their files names: {', '.join(profile_paths())}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "a CiA-402 drive on a CAN interface",
+        "A CiA-402 drive with its axis on a CAN interface, and on request the laser that looks at the axis.",
+        f"faults of the bus: {', '.join(fault_names(CanFaultKind))}"
+        f"\n\nprofiles, as documented in the sources that each of their files names: {', '.join(profile_paths())}",
     )
     drive.add_argument(
         "--interface",
@@ -76,14 +82,13 @@ def _add_drive(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> No
     drive.set_defaults(run=Later("hil.app.sim", "run_drive"))
 
 
-def _add_modbus(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    modbus = parts.add_parser(
+def _add_modbus(parts: Subparsers) -> None:
+    modbus = _part(
+        parts,
         "modbus",
-        help="a Modbus drive on a TCP port or a pty",
-        description="A Modbus drive with its axis, and on request the laser that looks at the axis.",
-        epilog=EXAMPLE
-        + f"\nfaults of the wire, as KIND#REQUEST[*COUNT][=SECONDS]: {', '.join(fault_names(WireFaultKind))}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "a Modbus drive on a TCP port or a pty",
+        "A Modbus drive with its axis, and on request the laser that looks at the axis.",
+        f"faults of the wire, as KIND#REQUEST[*COUNT][=SECONDS]: {', '.join(fault_names(WireFaultKind))}",
     )
     where = modbus.add_mutually_exclusive_group(required=True)
     where.add_argument("--tcp", metavar="HOST:PORT", help="listen there; port 0 asks for a free one")
@@ -96,14 +101,13 @@ def _add_modbus(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> N
     modbus.set_defaults(run=Later("hil.app.sim", "run_modbus"))
 
 
-def _add_laser(parts: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    laser = parts.add_parser(
+def _add_laser(parts: Subparsers) -> None:
+    laser = _part(
+        parts,
         "laser",
-        help="a laser interferometer or gauge on a pty, over an axis that shuttles",
-        description="A µMD laser interferometer, or another instrument, on a pseudo-terminal, looking at an axis that goes to and fro"
-        " by itself.",
-        epilog=EXAMPLE + f"\nfaults of laser and motor: {', '.join(fault_names(FaultKind))}",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
+        "a laser interferometer or gauge on a pty, over an axis that shuttles",
+        "A µMD laser interferometer, or another instrument, on a pseudo-terminal, looking at an axis that goes to and fro by itself.",
+        f"faults of laser and motor: {', '.join(fault_names(FaultKind))}",
     )
     laser.add_argument("--still", action="store_true", help="the axis stands")
     _add_machine(laser)
