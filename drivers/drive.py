@@ -80,7 +80,8 @@ class DriveSample:
     time_ns: the clock's time at which the values were received; check `age_ns` before using them. since_ns: before they were asked
     for, None where time_ns is exact; where this process or the wire is delayed, the values are of any moment between the two.
     target_reached: False without power. limited: the drive reports that a limit of its own is active (CiA-402: statusword bit 11,
-    internal limit), such as a software limit.
+    internal limit), such as a software limit. supplied: the power stage has its supply (CiA-402: statusword bit 4, voltage enabled);
+    without mains, and with safe torque off on most drives, it has not.
     """
 
     time_ns: int
@@ -94,6 +95,7 @@ class DriveSample:
     fault_code: int | None = None
     limited: bool | None = None
     since_ns: int | None = None
+    supplied: bool | None = None
 
     @property
     def earliest_ns(self) -> int:

@@ -170,6 +170,7 @@ class Cia402Drive(StoppableDrive):
             self._fault_code,
             limited=bool(status & Status.INTERNAL_LIMIT),
             since_ns=self.image.asked_ns,
+            supplied=bool(status & Status.VOLTAGE_ENABLED),
         )
 
     # -- units, zero, errors -------------------------------------------------------------------------------------------

@@ -14,13 +14,16 @@ from typing import TypeVar
 
 import numpy as np
 
-from drivers.errors import InputError, MeasurementLostError
+from drivers.drive import DriveSample, ServoDrive
+from drivers.errors import InputError, MeasurementLostError, StateError
+from drivers.standstill import Standstill
 from hil.axis.axis_file import MeasurementConfig
 from hil.correction.compensation import Command
 from hil.figures.reading import RULE
 from hil.machine.events import Event, Listener, Point, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.session import AxisSession, PositionReading
+from hil.machine.supervisor import REST_SLICE_S
 from hil.records.journal import Campaign, RowJournal
 from hil.records.rows import UM_PER_MM, Records
 
@@ -293,17 +296,54 @@ def retry_after_signal_loss(session: AxisSession, point: Callable[[], T], tell: 
 
 
 def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostError) -> None:
-    """Wait until the signal was good for `STEADY_S`, then take the datum. A signal that is lost again meanwhile is waited for too."""
-    deadline = session.clock.deadline(within_s)
+    """Wait until the signal was good for `STEADY_S`, then take the datum. A signal that is lost again meanwhile is waited for too.
+    Raises StateError, before the axis is enabled, as `_StoppedDrive.look`."""
+    deadline, stopped = session.clock.deadline(within_s), _StoppedDrive(session.drive)
     while True:
         try:
             session.acknowledge_loss()
-            session.watch(STEADY_S)
+            for _ in range(round(STEADY_S / REST_SLICE_S)):
+                session.watch(REST_SLICE_S)
+                stopped.look()
+            stopped.require_rest()
             session.supervisor.enable()
+            stopped = _StoppedDrive(session.drive)  # for a stop on the way to the datum
             refuse_while_drive_corrects(session.drive)
             session.take_datum(signal_was_lost=True)
         except MeasurementLostError:
             if deadline.expired:
                 raise lost from None
+            stopped.look()
         else:
             return
+
+
+class _StoppedDrive:
+    """A drive that was stopped and is to be enabled again without an operator. Who switches it off meanwhile may be in the machine."""
+
+    def __init__(self, drive: ServoDrive) -> None:
+        self._drive, self._standstill = drive, Standstill(drive.scaling.resolution_load_mm)
+        self._at_rest: DriveSample | None = None  # the first sample at rest; a drive may power off where its stop ends
+
+    def require_rest(self) -> None:
+        """Raises StateError where the axis never was at rest."""
+        if self._at_rest is None:
+            raise StateError(
+                f"drive {self._drive.name} was stopped for a lost signal, and the axis is not at rest; it is not enabled again"
+            )
+
+    def look(self) -> None:
+        """Raises StateError where the state of the drive or its supply has changed since the axis came to rest."""
+        now = self._drive.sample()
+        stands = self._standstill.look(now.time_ns, now.position_load_mm, now.velocity_mm_s)
+        if self._at_rest is None:
+            self._at_rest = now if stands else None
+        elif (now.state, now.supplied) != (self._at_rest.state, self._at_rest.supplied):
+            was, shown = (
+                f"{of.state.value}{'' if of.supplied is not False else ' without supply'}"
+                for of in (self._at_rest, now)
+            )
+            raise StateError(
+                f"drive {self._drive.name} was stopped for a lost signal, and while it was waited for, the drive went from {was} to"
+                f" {shown}: somebody may be in the machine; nothing was enabled. Begin the job again with --resume"
+            )

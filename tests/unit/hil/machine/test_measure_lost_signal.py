@@ -15,7 +15,7 @@ from support.toy_axis import ToyInstrument, ToyMachine, toy_session
 
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
-from drivers.errors import DriveFaultError, LinkLostError, MeasurementLostError
+from drivers.errors import DriveFaultError, LinkLostError, MeasurementLostError, StateError
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
 from hil.machine.bench_wiring import bench_parameters
@@ -25,6 +25,9 @@ from hil.machine.session import AxisSession
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records
+from sim_backends.canopen_drive import CanOpenSlave
+from sim_backends.canopen_in_turn import DrivesInTurn
+from sim_backends.canopen_profile import Defect
 from sim_backends.faults import Fault, FaultKind
 
 TARGETS = (0.0, 30.0, 61.0, 100.0)
@@ -222,6 +225,50 @@ def test_over_the_wire_the_beam_is_lost_and_the_rows_are_still_the_truth(tmp_pat
     off_um = (records.measured_mm - np.array(true_mm)) * 1000.0
     assert len(off_um) == 8
     assert np.ptp(off_um) < 0.3
+
+
+@pytest.mark.parametrize("ending", [2, 6], ids=["powers off after a quick stop", "holds after a quick stop"])
+@pytest.mark.parametrize("switched_off", [False, True])
+def test_a_drive_that_was_switched_off_meanwhile_is_not_enabled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: int, switched_off: bool
+) -> None:
+    """Safe torque off for a second, without a fault, while the beam is away: somebody opened the door. CiA 402: bit 4 of the
+    statusword, and no state above switch on disabled."""
+    path = lay_out(tmp_path, sections=4, runs=1)
+    path.write_text(path.read_text().replace("place_temps", "resume_within_s = 30\nplace_temps"))
+    axis = load_axis(path)
+    slaves, add = list[CanOpenSlave](), DrivesInTurn.add
+
+    def put(*args: object, **kwargs: object) -> CanOpenSlave:
+        slaves.append(add(*args, **kwargs))  # type: ignore[arg-type]
+        return slaves[-1]
+
+    monkeypatch.setattr(DrivesInTurn, "add", put)
+    loss = Fault(FaultKind.BEAM_LOST, at_s=11.0, duration_s=4.0)
+    with connected(axis, replace(bench_parameters(axis), laser_faults=(loss,))) as machine:
+        profile, session = slaves[0].profile, machine.session
+        slaves[0].dictionary.set_number(0x605A, 0, ending)
+        started_ns, states = session.clock.now_ns(), list[DriveState]()
+
+        def door(now_ns: int, _dt_s: float) -> None:
+            now_s = (now_ns - started_ns) / NS_PER_S
+            if switched_off and 13.0 <= now_s < 14.0:
+                profile.defects.add(Defect.SAFE_TORQUE_OFF)
+            else:
+                profile.defects.discard(Defect.SAFE_TORQUE_OFF)
+            if now_s > 14.0:
+                states.append(profile.state)
+
+        machine.bench.clock.attach(door)
+        session.prepare()
+        steps = bidirectional_steps(axis.measurement.targets_mm, 1)
+        campaign = Campaign.numbered(axis.store.directory, axis.purpose("verify"), resume=False)
+        if switched_off:
+            with pytest.raises(StateError, match="somebody may be in the machine"):
+                measure(session, campaign, "verify", steps)
+            assert DriveState.ENABLED not in states
+        else:
+            assert len(measure(session, campaign, "verify", steps)) == len(steps)
 
 
 @pytest.mark.parametrize("face", ["virtual", "canopen", "modbus-rtu"])
