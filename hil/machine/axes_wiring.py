@@ -28,7 +28,7 @@ from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import hardware_drive
 
 if TYPE_CHECKING:
-    from sim_backends.bench import BenchParameters
+    from hil.machine.bench_wiring import RunningBench
 
 RUN_IN_MM = 1.0
 """By which an axis without [measurement] comes to its place from below: the usual overrun_mm."""
@@ -36,11 +36,11 @@ RUN_IN_MM = 1.0
 
 @contextmanager
 def connected_axes(
-    axes: Sequence[AxisConfig], benches: Sequence[BenchParameters] | None = None, waiting: Waiting | None = None
+    axes: Sequence[AxisConfig], bench: RunningBench | None = None, waiting: Waiting | None = None
 ) -> Iterator[tuple[Machine, ...]]:
     """Connect the axes. Each session watches the other axes too, and an error stops all of them. On leaving all are disconnected.
 
-    benches: the simulated machines, one for each axis, instead of those that the axis files name. waiting: as for `connected`.
+    bench, waiting: as for `connected`.
     Raises InputError for two axes of one name or file, or where some are on the bench and some are not, and as `connected`.
     """
     if len({axis.name for axis in axes}) < len(axes) or len({axis.path.resolve() for axis in axes}) < len(axes):
@@ -52,9 +52,10 @@ def connected_axes(
         for axis in axes:
             stack.enter_context(held_axis(axis))
         if axes[0].drive.backend == "bench":
-            from hil.machine.bench_wiring import bench_machines  # noqa: PLC0415  (a verb loads the wire its axis file names)
+            from hil.machine.bench_wiring import running_bench  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-            machines = bench_machines(axes, benches, stack, waiting)
+            bench = bench or stack.enter_context(running_bench(axes, waiting=waiting))
+            machines = bench.machines(axes, stack)
         else:
             machines = _on_hardware(axes, stack, waiting)
         for one in machines:
@@ -92,9 +93,11 @@ def connected_across(
         stack.enter_context(held_axis(axis))
         stack.enter_context(held_axis(other))
         if axis.drive.backend == "bench":
-            from hil.machine.bench_wiring import bench_across  # noqa: PLC0415  (a verb loads the wire its axis file names)
+            from hil.machine.bench_wiring import running_bench  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-            machine, drive = bench_across(axis, other, stack, waiting)
+            bench = stack.enter_context(running_bench([axis, other], waiting=waiting))
+            own, drive = bench.drives([axis, other], stack)
+            machine = bench.machine(axis, bench.benches[0], own)
         else:
             wall, links = WallClock(waiting), Links()
             own, drive = (hardware_drive(one, wall, stack, links) for one in (axis, other))

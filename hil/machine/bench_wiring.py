@@ -42,115 +42,79 @@ def bench_parameters(axis: DriveAxis) -> BenchParameters:
     return known_bench(axis.drive.machine, axis.drive.seed)
 
 
-def bench_machines(
-    axes: Sequence[AxisConfig],
-    parameters: Sequence[BenchParameters] | None,
-    stack: ExitStack,
-    waiting: Waiting | None,
-) -> tuple[Machine, ...]:
-    """The simulated axes of one machine. parameters: in place of those that the axis files name. Raises as `make_bench`."""
-    parameters = parameters or [bench_parameters(axis) for axis in axes]
-    wanted = [with_instrument(one, axis.instrument) for axis, one in zip(axes, parameters, strict=True)]
-    benches = _benches(axes, wanted, stack, waiting)
-    drives = _drives(axes, benches, stack)
-    return tuple(_machine(*each) for each in zip(axes, benches, drives, strict=True))
-
-
-def bench_across(
-    axis: AxisConfig, other: DriveAxis, stack: ExitStack, waiting: Waiting | None
-) -> tuple[Machine, ServoDrive]:
-    """A simulated axis, and the drive of the one that its straightness moves."""
-    wanted = [with_instrument(bench_parameters(axis), axis.instrument), bench_parameters(other)]
-    benches = _benches([axis, other], wanted, stack, waiting)
-    drives = _drives([axis, other], benches, stack)
-    return _machine(axis, benches[0], drives[0]), drives[1]
-
-
-def bench_drive(
-    axis: DriveAxis, parameters: BenchParameters | None, stack: ExitStack, waiting: Waiting | None
-) -> ServoDrive:
-    """A simulated drive alone."""
-    benches = _benches([axis], [parameters or bench_parameters(axis)], stack, waiting)
-    return _drives([axis], benches, stack)[0]
-
-
 @dataclass(frozen=True)
 class RunningBench:
-    """The simulated machine of one axis that stays while it is connected and disconnected. can: its bus, None with another face."""
+    """The simulated axes of one machine, on one clock; they stay while drives are connected and disconnected.
 
-    bench: Bench
+    can: the bus that their servos are nodes of, None with another face
+    """
+
+    benches: Sequence[Bench]
     can: DrivesInTurn | None
 
-    def drive(self, axis: DriveAxis, stack: ExitStack) -> ServoDrive:
-        """A connection to its drive."""
-        return _drives([axis], [self.bench], stack, self.can)[0]
+    def drives(self, axes: Sequence[DriveAxis], stack: ExitStack) -> Sequence[ServoDrive]:
+        """A connection to each drive, on the wire that the axis files name."""
+        clock = self.benches[0].clock
+        axes = _on_one_wire(axes)
+        pairs = list(zip(axes, self.benches, strict=True))
+        if axes[0].drive.face == "virtual":
+            return [virtual_drive(*pair) for pair in pairs]
+        if self.can is not None:
+            from hil.machine.bench_canopen import canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-    def machine(self, axis: AxisConfig, stack: ExitStack) -> Machine:
-        """A connection to its drive and its instrument."""
-        return _machine(axis, self.bench, self.drive(axis, stack))
+            return canopen_drives(axes, self.can, clock, stack)
+        from hil.machine.bench_modbus import modbus_drives  # noqa: PLC0415  (as above)
+
+        return modbus_drives({axis.drive.unit: (axis, bench) for axis, bench in pairs}, clock, stack)
+
+    def machine(self, axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
+        """A drive of this machine with its instrument."""
+        instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
+        conditions = BenchConditions(bench.plant, axis.conditions.levels)
+        return Machine(axis, session_of(axis, drive, instrument, conditions), bench)
+
+    def machines(self, axes: Sequence[AxisConfig], stack: ExitStack) -> tuple[Machine, ...]:
+        """A connection to each drive with its instrument."""
+        return tuple(map(self.machine, axes, self.benches, self.drives(axes, stack)))
 
 
 @contextmanager
-def running_bench(axis: DriveAxis) -> Iterator[RunningBench]:
-    """The simulated machine that an axis file names, switched on for a `with` block. Raises as `make_bench`."""
-    wanted = bench_parameters(axis)
-    if isinstance(axis, AxisConfig):
-        wanted = with_instrument(wanted, axis.instrument)
+def running_bench(
+    axes: Sequence[DriveAxis], parameters: Sequence[BenchParameters] | None = None, waiting: Waiting | None = None
+) -> Iterator[RunningBench]:
+    """The simulated axes of one machine, switched on for a `with` block; two axes are at right angles.
+
+    parameters: in place of those that the axis files name. Raises as `bench_parameters`, `with_instrument` and `make_bench`.
+    """
+    wanted = [
+        with_instrument(one, axis.instrument) if isinstance(axis, AxisConfig) else one
+        for axis, one in zip(axes, parameters or map(bench_parameters, axes), strict=True)
+    ]
+    clock = SimClock(wanted[0].step_s, waiting)
     with ExitStack() as stack:
-        (bench,) = _benches([axis], [wanted], stack, None)
+        benches = [make_bench(axis, one, clock, stack) for axis, one in zip(axes, wanted, strict=True)]
+        if len(benches) == 2:
+            benches[0].cross(benches[1])
         can = None
-        if axis.drive.face == "canopen":
+        if axes[0].drive.face == "canopen":
             from hil.machine.bench_canopen import canopen_bus  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-            can = canopen_bus([(axis, bench, bench_table(axis, bench))], bench.clock, stack)
-        yield RunningBench(bench, can)
+            nodes = [(axis, one, bench_table(axis, one)) for axis, one in zip(_on_one_wire(axes), benches, strict=True)]
+            can = canopen_bus(nodes, benches[0].clock, stack)
+        yield RunningBench(benches, can)
 
 
-def _machine(axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
-    instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
-    conditions = BenchConditions(bench.plant, axis.conditions.levels)
-    return Machine(axis, session_of(axis, drive, instrument, conditions), bench)
-
-
-def _benches(
-    axes: Sequence[DriveAxis], parameters: Sequence[BenchParameters], stack: ExitStack, waiting: Waiting | None
-) -> list[Bench]:
-    """On one clock; two axes are at right angles."""
-    clock = SimClock(parameters[0].step_s, waiting)
-    benches = [make_bench(axis, wanted, clock, stack) for axis, wanted in zip(axes, parameters, strict=True)]
-    if len(benches) == 2:
-        benches[0].cross(benches[1])
-    return benches
+def _on_one_wire(axes: Sequence[DriveAxis]) -> Sequence[DriveAxis]:
+    """Of several, nodes 1, 2 … of one bus, units 1, 2 … of one line."""
+    if len(axes) == 1:
+        return axes
+    return [replace(axis, drive=replace(axis.drive, node_id=n, unit=n)) for n, axis in enumerate(axes, start=1)]
 
 
 def make_bench(axis: DriveAxis, parameters: BenchParameters, clock: SimClock, stack: ExitStack) -> Bench:
     """The bench of one axis. Raises InputError for an axis file whose scaling or travel is not the bench's."""
     _check(axis, parameters)
     return stack.enter_context(Bench(parameters, clock=clock))
-
-
-def _drives(
-    axes: Sequence[DriveAxis], benches: Sequence[Bench], stack: ExitStack, can: DrivesInTurn | None = None
-) -> Sequence[ServoDrive]:
-    """Drives on the wire that the axis files name. Of several, nodes 1, 2 … of one bus, units 1, 2 … of one line.
-
-    can: the bus that the benches' servos are nodes of already
-    """
-    face, clock = axes[0].drive.face, benches[0].clock
-    if face == "virtual":
-        return [virtual_drive(*pair) for pair in zip(axes, benches, strict=True)]
-    if len(axes) > 1:
-        axes = [replace(axis, drive=replace(axis.drive, node_id=n, unit=n)) for n, axis in enumerate(axes, start=1)]
-    pairs = list(zip(axes, benches, strict=True))
-    if face == "canopen":
-        from hil.machine.bench_canopen import canopen_bus, canopen_drives  # noqa: PLC0415  (a verb loads the wire its axis file names)
-
-        if can is None:
-            can = canopen_bus([(*pair, bench_table(*pair)) for pair in pairs], clock, stack)
-        return canopen_drives(axes, can, clock, stack)
-    from hil.machine.bench_modbus import modbus_drives  # noqa: PLC0415  (as above)
-
-    return modbus_drives({axis.drive.unit: (axis, bench) for axis, bench in pairs}, clock, stack)
 
 
 def virtual_drive(axis: DriveAxis, bench: Bench) -> VirtualDrive:

@@ -26,20 +26,19 @@ if TYPE_CHECKING:  # a verb loads the wire that its axis file names
 
     from drivers.modbus.raw_parameters import ModbusRawParameters
     from hil.machine.bench_wiring import RunningBench
-    from sim_backends.bench import BenchParameters
 
 
 @contextmanager
 def connected(
     axis: AxisConfig,
-    bench: BenchParameters | RunningBench | None = None,
+    bench: RunningBench | None = None,
     conditions: Conditions | None = None,
     waiting: Waiting | None = None,
     network: canopen.Network | None = None,
 ) -> Iterator[Machine]:
     """Connect the axis of an axis file. On leaving it is stopped after an error, disabled unless it was enabled, and disconnected.
 
-    bench: for backend "bench", the simulated machine to build instead of the one that the axis file names, or one that runs
+    bench: for backend "bench", the simulated machine that runs; None: the one that the axis file names is switched on
     conditions: sets load and the like on a real machine; the bench has its own
     waiting: the waits of the axis's clock go through it, so that another thread can end a wait
     network: a user's connected canopen.Network in place of the CAN bus that the axis file names; what would move the axis beside us is
@@ -51,12 +50,10 @@ def connected(
         stack.enter_context(ending_by_signals())
         stack.enter_context(held_axis(axis))
         if axis.drive.backend == "bench":
-            from hil.machine.bench_wiring import RunningBench, bench_machines  # noqa: PLC0415  (a verb loads the wire its axis file names)
+            from hil.machine.bench_wiring import running_bench  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-            if isinstance(bench, RunningBench):
-                machine = bench.machine(axis, stack)
-            else:
-                (machine,) = bench_machines([axis], None if bench is None else [bench], stack, waiting)
+            bench = bench or stack.enter_context(running_bench([axis], waiting=waiting))
+            (machine,) = bench.machines([axis], stack)
         else:
             machine = _on_hardware(axis, conditions, stack, WallClock(waiting), Links(network=network))
         stack.enter_context(machine.session)
@@ -75,7 +72,7 @@ def _on_hardware(
 @contextmanager
 def connected_drive(
     axis: DriveAxis,
-    bench: BenchParameters | RunningBench | None = None,
+    bench: RunningBench | None = None,
     waiting: Waiting | None = None,
     network: canopen.Network | None = None,
 ) -> Iterator[ServoDrive]:
@@ -107,16 +104,15 @@ def connected_registers(axis: AxisConfig) -> Iterator[ModbusRawParameters]:
 def _drive_alone(
     axis: DriveAxis,
     stack: ExitStack,
-    bench: BenchParameters | RunningBench | None = None,
+    bench: RunningBench | None = None,
     waiting: Waiting | None = None,
     network: canopen.Network | None = None,
 ) -> ServoDrive:
     if axis.drive.backend == "bench":
-        from hil.machine.bench_wiring import RunningBench, bench_drive  # noqa: PLC0415  (a verb loads the wire its axis file names)
+        from hil.machine.bench_wiring import running_bench  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
-        if isinstance(bench, RunningBench):
-            return bench.drive(axis, stack)
-        return bench_drive(axis, bench, stack, waiting)
+        bench = bench or stack.enter_context(running_bench([axis], waiting=waiting))
+        return bench.drives([axis], stack)[0]
     return hardware_drive(axis, WallClock(waiting), stack, Links(network=network))
 
 

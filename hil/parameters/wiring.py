@@ -23,18 +23,11 @@ from drivers.modbus.wear import WearLedger
 from drivers.raw_parameters import RawParameters
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis, modbus_endpoint
-from hil.machine.bench_canopen import bench_node
-from hil.machine.bench_wiring import RunningBench, bench_parameters
+from hil.machine.bench_wiring import RunningBench, running_bench
 from hil.parameters.journal import Journal
-from sim_backends.bench import Bench
-from sim_backends.canopen_drive import attach_to_wire
-from sim_backends.canopen_wire import SimWire
-from sim_backends.clock import SimClock
 
 Bus = tuple[str, str]
 """python-can's interface and channel."""
-
-_BOOT_S = 0.01  # of the bench's drive
 
 
 @dataclass
@@ -108,27 +101,15 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack, running: RunningBen
             stack.callback(link.close)
             lines.modbus[endpoint] = ModbusLine(link)
         return _modbus(axis, lines.modbus[endpoint])
-    if axis.drive.backend == "bench" and running is not None and running.can is not None:
-        bus = ("bench", axis.name)
-        lines.can[bus] = CanLine(stack.enter_context(CanLink(running.can.master(waits=True), running.can.clock)))
-        return _canopen(axis, bus, lines, stack)
-    if axis.drive.backend == "bench" and axis.drive.face == "canopen":
-        bench = stack.enter_context(_bench(axis, lines.waiting))
-        wire = SimWire(bench.clock, axis.drive.bitrate)  # waiting for an answer lets the bench's time pass
-        parameters, make = bench_node(axis, bench)
-        attach_to_wire(wire, bench.servo, axis.drive.node_id, parameters=parameters, make=make)
-        bus = ("bench", axis.name)
-        lines.can[bus] = CanLine(stack.enter_context(CanLink(wire.port(), bench.clock)))
-        bench.clock.sleep_s(_BOOT_S)
-        return _canopen(axis, bus, lines, stack)
+    if axis.drive.backend == "bench":
+        can = (running or stack.enter_context(running_bench([axis], waiting=lines.waiting))).can
+        if can is not None:
+            bus = ("bench", axis.name)
+            lines.can[bus] = CanLine(stack.enter_context(CanLink(can.master(waits=True), can.clock)))
+            return _canopen(axis, bus, lines, stack)
     raise CapabilityError(
         f"axis {axis.name}: its drive ({axis.drive.backend}) has no parameters that could be written as a set"
     )
-
-
-def _bench(axis: DriveAxis, waiting: Waiting | None) -> Bench:
-    parameters = bench_parameters(axis)
-    return Bench(parameters, clock=SimClock(parameters.step_s, waiting))
 
 
 def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawParameters:

@@ -95,7 +95,7 @@ class OpenAxis(Axis):
         self._require()
         if self._running is None:
             raise CapabilityError(f"axis {self.name} is no simulated machine in this process")
-        return self._running.bench
+        return self._running.benches[0]
 
     # -- coming and going ----------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
@@ -103,7 +103,7 @@ class OpenAxis(Axis):
             if self.file.drive.backend == "bench":
                 from hil.machine.bench_wiring import running_bench  # noqa: PLC0415  (the simulation loads slowly)
 
-                self._running = stack.enter_context(running_bench(self.file))
+                self._running = stack.enter_context(running_bench([self.file]))
             self._connect()
             self._machine = stack.pop_all()
         return self

@@ -43,6 +43,7 @@ from hil.lost_motion.circle.figures import Circle
 from hil.lost_motion.circle.procedure import drive_circle, prepare
 from hil.lost_motion.job import run_lost_motion
 from hil.machine.axes_wiring import connected_across, connected_axes
+from hil.machine.bench_wiring import RunningBench, running_bench
 from hil.machine.wiring import connected, connected_drive
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.procedure import measure_run_out
@@ -151,8 +152,14 @@ class Place:
         self._axes[name] = guarded
         return guarded
 
-    def bench(self, axis: AxisConfig) -> BenchParameters | None:
-        return None if self.parameters is None else self.parameters(axis)
+    @contextmanager
+    def bench(self, *axes: AxisConfig) -> Iterator[RunningBench | None]:
+        """None: the product switches its own on."""
+        if self.parameters is None:
+            yield None
+            return
+        with running_bench(axes, [self.parameters(axis) for axis in axes], self.waiting) as running:
+            yield running
 
     @contextmanager
     def wired(self) -> Iterator[None]:
@@ -184,13 +191,13 @@ def some_tables(axis: AxisConfig) -> TableSet:
 # -- the verbs -----------------------------------------------------------------------------------------------------------
 def calibrate(place: Place) -> None:
     axis = place.axis()
-    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+    with place.bench(axis) as bench, connected(axis, bench, waiting=place.waiting) as machine:
         run_calibration(machine, store_of(axis), resume=place.resume)
 
 
 def verify(place: Place) -> None:
     axis = place.axis()
-    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+    with place.bench(axis) as bench, connected(axis, bench, waiting=place.waiting) as machine:
         run_verification(machine, Compensation(some_tables(axis)) if place.corrected else None, resume=place.resume)
 
 
@@ -198,7 +205,7 @@ def lost_motion(place: Place) -> None:
     axis = place.axis(machine="worn")
     how = axis.lost_motion
     assert how is not None
-    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+    with place.bench(axis) as bench, connected(axis, bench, waiting=place.waiting) as machine:
         run_lost_motion(machine, how, None, resume=place.resume)
 
 
@@ -206,23 +213,21 @@ def backlash(place: Place) -> None:
     axis = place.axis(machine="worn")
     how = axis.backlash
     assert how is not None
-    with connected_drive(axis, place.bench(axis), waiting=place.waiting) as drive:
+    with place.bench(axis) as bench, connected_drive(axis, bench, waiting=place.waiting) as drive:
         measure_backlash(drive, how, backlash_settings(axis, how, drive))
 
 
 def close_loop(place: Place) -> None:
     axis = place.axis()
     turning = Turning(Exploration(runs=2, rows=6, warm_up_s=1.0), effects=ALL[:1])
-    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+    with place.bench(axis) as bench, connected(axis, bench, waiting=place.waiting) as machine:
         run_loop(machine, store_of(axis), turning, resume=place.resume)
 
 
 def circle(place: Place) -> None:
     axes = [place.axis(name) for name in ("X", "Y")]
     period_s = 0.004 if place.face in ("virtual", "canopen") else 0.03
-    with connected_axes(
-        axes, None if place.parameters is None else [place.parameters(a) for a in axes], place.waiting
-    ) as machines:
+    with place.bench(*axes) as bench, connected_axes(axes, bench, place.waiting) as machines:
         sessions = [machine.session for machine in machines]
         prepare(sessions)
         drive_circle(sessions, Circle((45.0, 45.0), 6.0, 15.0, ramp_mm_s2=100.0), (None, None), period_s=period_s)
@@ -239,7 +244,7 @@ def straightness(place: Place) -> None:
 
 def doctor_check(place: Place) -> None:
     axis = place.axis()
-    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+    with place.bench(axis) as bench, connected(axis, bench, waiting=place.waiting) as machine:
         wrong = [check for check in doctor(machine.session, trust_file=True) if not check.good]
     if wrong:
         raise NotGoodError("; ".join(f"{check.name}: {check.detail}" for check in wrong))
@@ -248,7 +253,7 @@ def doctor_check(place: Place) -> None:
 def table_proof(place: Place) -> None:
     axis = place.axis(table="simulated_array")
     compensation = Compensation(some_tables(axis))
-    with connected(axis, place.bench(axis), waiting=place.waiting) as machine:
+    with place.bench(axis) as bench, connected(axis, bench, waiting=place.waiting) as machine:
         table = held_table(machine.session.drive)
         table.write(drive_table(wanted_of(compensation), table.description, axis.scaling, axis.limits).raw)
         campaign = Campaign.numbered(axis.store.directory, {"kind": "proof"}, resume=False)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +19,9 @@ from hil.lost_motion.circle.figures import Circle
 from hil.lost_motion.circle.job import BEFORE, run_circle
 from hil.lost_motion.circle.procedure import check_axes, drive_circle, prepare
 from hil.machine.axes_wiring import connected_axes
+from hil.machine.bench_wiring import running_bench
 from hil.machine.events import Event, Listener
+from hil.machine.machine import Machine
 from sim_backends.bench import Bench, BenchParameters
 from sim_backends.plant.parameters import ideal_axis
 from sim_backends.virtual_drive import VirtualDrive
@@ -30,11 +34,17 @@ def axes_of(directory: Path, face: str) -> tuple[AxisConfig, AxisConfig]:
     return load_axis(x), load_axis(y)
 
 
+@contextmanager
+def connected_ideal(axes: tuple[AxisConfig, AxisConfig]) -> Iterator[tuple[Machine, ...]]:
+    with running_bench(axes, IDEAL) as running, connected_axes(axes, running) as machines:
+        yield machines
+
+
 @pytest.mark.parametrize(
     ("face", "period_s"), [("virtual", 0.01), ("canopen", 0.01), ("modbus-tcp", 0.02), ("modbus-rtu", 0.05)]
 )
 def test_both_axes_follow_their_own_path(tmp_path: Path, face: str, period_s: float) -> None:
-    with connected_axes(axes_of(tmp_path, face), IDEAL) as machines:
+    with connected_ideal(axes_of(tmp_path, face)) as machines:
         drives = [machine.session.drive for machine in machines]
         for drive in drives:
             drive.enable()
@@ -53,7 +63,7 @@ def test_an_axis_that_was_left_is_not_stopped_again_with_the_other(tmp_path: Pat
     """Nothing is said of a drive that may still move: it was stopped, disabled and closed."""
 
     def fail() -> None:
-        with connected_axes(axes_of(tmp_path, "canopen"), IDEAL) as machines:
+        with connected_ideal(axes_of(tmp_path, "canopen")) as machines:
             for machine in machines:
                 machine.session.drive.enable()
             raise InputError("an error that no supervisor sees")
@@ -71,7 +81,7 @@ def _stream(drives: list[ServoDrive], set_points: list[list[float]]) -> None:
 
 @pytest.mark.parametrize("face", ["virtual", "canopen"])
 def test_a_set_point_that_one_axis_must_not_have_stops_both_before_either_has_it(tmp_path: Path, face: str) -> None:
-    with connected_axes(axes_of(tmp_path, face), IDEAL) as machines:
+    with connected_ideal(axes_of(tmp_path, face)) as machines:
         drives = [machine.session.drive for machine in machines]
         for drive in drives:
             drive.enable()
@@ -85,7 +95,7 @@ def test_a_set_point_that_one_axis_must_not_have_stops_both_before_either_has_it
 
 
 def test_a_fault_of_the_axis_beside_is_seen_while_this_one_moves(tmp_path: Path) -> None:
-    with connected_axes(axes_of(tmp_path, "virtual"), IDEAL) as (first, second):
+    with connected_ideal(axes_of(tmp_path, "virtual")) as (first, second):
         first.session.await_instrument()
         second.session.await_instrument()
         assert second.bench is not None
@@ -96,7 +106,7 @@ def test_a_fault_of_the_axis_beside_is_seen_while_this_one_moves(tmp_path: Path)
 
 
 def test_what_a_drive_cannot_do_is_said_before_anything_moves(tmp_path: Path) -> None:
-    with connected_axes(axes_of(tmp_path, "virtual"), IDEAL) as machines:
+    with connected_ideal(axes_of(tmp_path, "virtual")) as machines:
         sessions = [machine.session for machine in machines]
         drive = sessions[1].drive
         assert isinstance(drive, VirtualDrive)
@@ -111,7 +121,7 @@ def test_what_a_drive_cannot_do_is_said_before_anything_moves(tmp_path: Path) ->
 
 
 def _circle(axes: tuple[AxisConfig, AxisConfig], listener: Listener, benches: list[Bench | None]) -> None:
-    with connected_axes(axes, IDEAL) as machines:
+    with connected_ideal(axes) as machines:
         benches += [machine.bench for machine in machines]
         sessions = [machine.session for machine in machines]
         prepare(sessions)
@@ -142,7 +152,8 @@ def test_an_instrument_that_is_late_is_dated_by_what_its_axis_file_states(tmp_pa
         y.write_text(y.read_text().replace("[instrument]", f"[instrument]\nlatency_s = {late_s}"))
     first, second = IDEAL
     late = replace(second, laser=replace(second.laser, latency_s=late_s))
-    with connected_axes((load_axis(x), load_axis(y)), (first, late)) as machines:
+    axes = (load_axis(x), load_axis(y))
+    with running_bench(axes, (first, late)) as running, connected_axes(axes, running) as machines:
         driven = run_circle(machines, Circle((40.0, 40.0), 5.0, feed_mm_s), (None, None), period_s=0.02)
     trace = driven.traces[BEFORE]
     if stated:
@@ -155,13 +166,13 @@ def test_an_instrument_that_is_late_is_dated_by_what_its_axis_file_states(tmp_pa
 def test_axes_that_nothing_paces_together_are_refused(tmp_path: Path) -> None:
     ours, theirs = tmp_path / "ours", tmp_path / "theirs"
     with (
-        connected_axes(axes_of(ours, "canopen"), IDEAL) as first,
-        connected_axes(axes_of(theirs, "canopen"), IDEAL) as second,
+        connected_ideal(axes_of(ours, "canopen")) as first,
+        connected_ideal(axes_of(theirs, "canopen")) as second,
     ):
         one, other = first[0].session.drive, second[0].session.drive
         with pytest.raises(CapabilityError, match="not all on one CAN bus"):
             one.stream_with([other], SetPointSettings(0.01))
-    with connected_axes(axes_of(tmp_path / "more", "virtual"), IDEAL) as machines:
+    with connected_ideal(axes_of(tmp_path / "more", "virtual")) as machines:
         stream = machines[0].session.drive.stream_with([machines[1].session.drive], SetPointSettings(0.01))
         with pytest.raises(StateError, match="cannot stream"):
             stream.__enter__()

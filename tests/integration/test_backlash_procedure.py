@@ -30,6 +30,7 @@ from hil.backlash.procedure import TorqueBacklash, measure_backlash
 from hil.backlash.result import fitted_lost_motion
 from hil.backlash.settings import backlash_settings
 from hil.backlash.trace import ReversalTrace
+from hil.machine.bench_wiring import running_bench
 from hil.machine.events import Event
 from hil.machine.wiring import connected_drive
 from sim_backends.bench import BenchParameters, known_bench
@@ -91,7 +92,8 @@ def rig_on(directory: Path, behind: BenchBehind, bench: BenchParameters | None =
     assert axis.backlash is not None
     amount, switch = Kept("amount", 17.0), Kept("switch", 1.0)
     settings = BacklashSettings(amount, 1.0, switch, directory / "before.json")
-    with connected_drive(axis, bench) as drive:
+    wanted = None if bench is None else [bench]
+    with running_bench([axis], wanted) as running, connected_drive(axis, running) as drive:
         assert isinstance(drive, VirtualDrive)
         yield Rig(drive, replace(axis.backlash, **how), settings, amount, switch, behind)  # type: ignore[arg-type]
 

@@ -24,6 +24,7 @@ from hil.correction.compensation import Compensation
 from hil.correction.sealed import load_public_key
 from hil.correction.store import SealedStore
 from hil.correction.tables import section_means
+from hil.machine.bench_wiring import running_bench
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign, check_rows
 from hil.records.rows import Records, read_csv
@@ -86,7 +87,7 @@ def means(records: Records) -> dict[tuple[float, int], float]:
 )
 def test_every_section_and_direction_ends_inside_the_band(tmp_path: Path, mode: str, seed: int, heats_up: bool) -> None:
     axis = axis_file(tmp_path, mode)
-    with connected(axis, bench(seed, heats_up=heats_up)) as machine:
+    with running_bench([axis], [bench(seed, heats_up=heats_up)]) as running, connected(axis, running) as machine:
         machine.session.prepare()
         campaign = Campaign(tmp_path / "campaign", axis.purpose("calibrate"), resume=False)
         result = calibrate(machine.session, campaign, axis.correction, lambda tables: None)

@@ -18,7 +18,7 @@ from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.diagnosis.loop.procedure import turn_in_motion
 from hil.effects import ALL
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.in_motion_settings import InMotion
 from hil.machine.sample_times import SampleTimes
 from hil.machine.wiring import connected
@@ -42,7 +42,8 @@ def machine_of(
 
 def test_samples_are_dated_to_microseconds(tmp_path: Path) -> None:
     path, bench = machine_of(tmp_path)
-    with connected(load_axis(path), bench) as machine:
+    axis = load_axis(path)
+    with running_bench([axis], [bench]) as running, connected(axis, running) as machine:
         machine.session.await_instrument()
         times = SampleTimes(machine.session)
         machine.clock.sleep_s(0.01234567)
@@ -62,7 +63,7 @@ def test_samples_are_dated_to_microseconds(tmp_path: Path) -> None:
 def test_a_hidden_lag_is_found_in_motion_and_nine_tenths_of_it_removed(tmp_path: Path) -> None:
     path, bench = machine_of(tmp_path)
     axis = load_axis(path)
-    with connected(axis, bench) as machine:
+    with running_bench([axis], [bench]) as running, connected(axis, running) as machine:
         assert machine.bench is not None
         machine.session.prepare()
         campaign = Campaign(tmp_path / "motion", {}, resume=False)
@@ -92,7 +93,7 @@ def test_the_loop_measures_a_latency_that_nobody_stated_and_does_not_correct_the
     path, bench = machine_of(tmp_path, "ideal", sections=4, runs=1)
     axis = load_axis(path)
     late = replace(bench, laser=replace(bench.laser, latency_s=0.02))
-    with connected(axis, late) as machine:
+    with running_bench([axis], [late]) as running, connected(axis, running) as machine:
         machine.session.prepare()
         campaign = Campaign(tmp_path / "motion", {}, resume=False)
         places = np.array(axis.measurement.targets_mm)

@@ -20,7 +20,7 @@ from hil.axis.axis_file import load_axis
 from hil.calibration.in_motion import measure_in_motion, plan_passes
 from hil.calibration.latency import dated, measure_latency
 from hil.figures.latency import Latency
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.in_motion_settings import InMotion
 from hil.machine.machine import Machine
 from hil.machine.wiring import connected
@@ -51,7 +51,8 @@ def machine(
     if "kind" in instrument:
         gauge = GaugeParameters(noise_um=NOISE_UM, latency_s=latency_s, jitter_s=jitter_s)
     laser = replace(bench.laser, noise_um=NOISE_UM, latency_s=latency_s, jitter_s=jitter_s)
-    with connected(axis, replace(bench, laser=laser, gauge=gauge)) as found:
+    wanted = replace(bench, laser=laser, gauge=gauge)
+    with running_bench([axis], [wanted]) as running, connected(axis, running) as found:
         found.session.prepare()
         yield found
 

@@ -21,7 +21,7 @@ from hil.correction.tables import TableSet
 from hil.diagnosis.loop.procedure import Turning, turn_loop
 from hil.effects import ALL
 from hil.effects.base import Action
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 from hil.records.rows import Records
@@ -67,7 +67,7 @@ def test_nine_tenths_of_a_hidden_effect_are_removed(effect: str, tmp_path: Path)
     axis = load_axis(path)
     parameters = bench_parameters(axis)
     bench = replace(parameters, laser=replace(parameters.laser, noise_um=NOISE_UM))
-    with connected(axis, bench) as machine:
+    with running_bench([axis], [bench]) as running, connected(axis, running) as machine:
         assert machine.bench is not None
         machine.session.prepare()
         campaign = Campaign(tmp_path / "loop", {"effect": effect}, resume=False)

@@ -13,7 +13,7 @@ from hil.axis.axis_file import load_axis
 from hil.calibration.calibrate import calibrate
 from hil.calibration.explore import Exploration
 from hil.diagnosis.loop.procedure import Turning, turn_loop
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.wiring import connected
 from hil.records.journal import Campaign
 
@@ -37,7 +37,7 @@ def test_the_loop_makes_the_run_that_tells_its_rivals_apart(tmp_path: Path) -> N
     axis = load_axis(path)
     parameters = bench_parameters(axis)
     bench = replace(parameters, laser=replace(parameters.laser, noise_um=1.0))
-    with connected(axis, bench) as machine:
+    with running_bench([axis], [bench]) as running, connected(axis, running) as machine:
         assert machine.bench is not None
         machine.session.prepare()
         campaign = Campaign(tmp_path / "loop", {}, resume=False)

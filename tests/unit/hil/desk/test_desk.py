@@ -23,7 +23,7 @@ from hil.desk.job import Job, Workplace
 from hil.desk.plan import Plan
 from hil.desk.progress import Phase, Progress
 from hil.desk.roles import LockedError
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.events import Event, Measured, Point
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
@@ -419,7 +419,10 @@ def test_after_a_lost_beam_nothing_goes_on_until_a_person_begins_a_job(face: str
 
     @contextmanager
     def connect(waiting: Waiting) -> Iterator[Connection]:
-        with connected(axis, bench, waiting=waiting) as machine:
+        with (
+            running_bench([axis], [bench], waiting) as running,
+            connected(axis, running, waiting=waiting) as machine,
+        ):
             yield Connection(machine.session.drive, machine.session)
 
     def measured(place: Workplace) -> float:

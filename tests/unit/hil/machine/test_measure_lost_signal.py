@@ -18,7 +18,7 @@ from drivers.drive import DriveState
 from drivers.errors import DriveFaultError, LinkLostError, MeasurementLostError, StateError
 from drivers.instrument import Reading, ReadingStatus
 from hil.axis.axis_file import load_axis
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.events import Event
 from hil.machine.measure import MOST_LOSSES, STEADY_S, Step, bidirectional_steps, measure
 from hil.machine.session import AxisSession
@@ -207,7 +207,8 @@ def test_over_the_wire_the_beam_is_lost_and_the_rows_are_still_the_truth(tmp_pat
     axis = load_axis(path)
     faults = (Fault(FaultKind.BEAM_LOST, at_s=11.0, duration_s=4.0),)
     true_mm: list[float] = []
-    with connected(axis, replace(bench_parameters(axis), laser_faults=faults)) as machine:
+    wanted = replace(bench_parameters(axis), laser_faults=faults)
+    with running_bench([axis], [wanted]) as running, connected(axis, running) as machine:
         bench = machine.bench
         assert bench is not None
 
@@ -279,7 +280,8 @@ def test_a_script_acknowledges_a_loss_and_prepares_anew(face: str, tmp_path: Pat
     path.write_text(text, encoding="utf-8")
     axis = load_axis(path)
     loss = Fault(FaultKind.BEAM_LOST, at_s=45.0, duration_s=0.5)
-    with connected(axis, replace(bench_parameters(axis), laser_faults=(loss,))) as machine:
+    wanted = replace(bench_parameters(axis), laser_faults=(loss,))
+    with running_bench([axis], [wanted]) as running, connected(axis, running) as machine:
         session = machine.session
         session.prepare()
         with pytest.raises(MeasurementLostError, match="beam lost"):

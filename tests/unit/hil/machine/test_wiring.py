@@ -26,7 +26,7 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration.calibrate import calibrate
 from hil.correction.tables import TableSet
 from hil.machine.axis_lock import drive_address, held_axis
-from hil.machine.bench_wiring import bench_parameters
+from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.wiring import connected, connected_drive
 from hil.parameters.wiring import connected_parameters
 from hil.records.journal import Campaign
@@ -293,7 +293,8 @@ def test_what_the_instrument_may_differ_by_comes_from_the_axis_file(
     axis = load_axis(axis.path)
     assert axis.agreement == AgreementLimits(within_um, 20.0, 0.01)
     faults = (Fault(FaultKind.GLITCH, at_s=25.0, duration_s=1.0, size=300.0),)
-    with connected(axis, replace(bench_parameters(axis), laser_faults=faults)) as machine:
+    wanted = replace(bench_parameters(axis), laser_faults=faults)
+    with running_bench([axis], [wanted]) as running, connected(axis, running) as machine:
         machine.session.prepare()
         assert machine.session.elapsed_s() < 24.0
         beside = nullcontext() if good else pytest.raises(MeasurementLostError, match=r"jumped by 0\.3")
