@@ -66,16 +66,16 @@ VERBS = {
         "straightness by the instrument, and the other axis moved against it",
     ),
     "close-loop": (
-        "diagnosis.loop.command_options:add_parser",
+        "diagnosis.command_options:add_close_loop",
         "calibrate, verify warm, diagnose, extend, measure again",
     ),
     "campaign": (
-        "diagnosis.commands.campaign_options:add_parser",
+        "diagnosis.command_options:add_campaign",
         "design a measuring campaign, or check what one can show",
     ),
-    "diagnose": ("diagnosis.commands.diagnose_options:add_parser", "trace what is left to an effect"),
-    "fit": ("diagnosis.commands.fit_options:add_parser", "a baseline model from records"),
-    "apply": ("diagnosis.commands.apply_options:add_parser", "the correction of a model for each row of records"),
+    "diagnose": ("diagnosis.command_options:add_diagnose", "trace what is left to an effect"),
+    "fit": ("diagnosis.command_options:add_fit", "a baseline model from records"),
+    "apply": ("diagnosis.command_options:add_apply", "the correction of a model for each row of records"),
     "iso230": ("files.command_options:add_iso230", "the figures of ISO 230-2"),
     "iso230-4": (
         "files.command_options:add_iso230_4",
