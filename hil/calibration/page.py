@@ -28,13 +28,13 @@ from hil.calibration.pages.typed_tables import TypedTables, across_axis, across_
 from hil.desk.progress import Progress
 from hil.figures.verdict import Decision
 from hil.ui.screen.pieces import (
-    Check,
     Reading,
     Steps,
     draw_ready,
     draw_where,
     lead,
     measured_checks,
+    tables_check,
 )
 from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.plots import JobPlot
@@ -160,9 +160,7 @@ def _draw_buttons(view: View, axis: AxisConfig, kept: Kept, typed: TypedTables, 
     async def resume(kind: str) -> None:
         await _resume(view, axis, kept, kind, zero, typed=typed)
 
-    opened = lambda: desk.rights.store is not None or not view.in_control  # noqa: E731
-    tables = Check("tables", opened, ("calibrate.open", lambda: _ask_password(view)))
-    ready = draw_ready(view, "calibrate", tables, *measured_checks(view), builder=True)
+    ready = draw_ready(view, "calibrate", tables_check(view), *measured_checks(view), builder=True)
     with ui.element("div").classes("hil-buttons"):
         start = view.button("calibrate.start", start_new).classes("hil-go")
         verifying = view.button("calibrate.verify", verify)
@@ -253,11 +251,3 @@ async def _resume(
         how = {"corrected": kind == VERIFY, "resume": True}
         job = calibrate.verification_job(as_begun, seed=begun.seed, zero=said, across=across, **how)
     await zero.run(asking(view, across), job)
-
-
-async def _ask_password(view: View) -> None:
-    """Asks for the reading password of the tables; it is not kept."""
-    given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes", go="go.tables")
-    if given is not None:
-        token = view.token
-        await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.read_tables(token, *given)))

@@ -12,7 +12,7 @@ from hil.axis.axis_file import AxisConfig
 from hil.script.procedure import Procedure, naming_the_line
 from hil.script.procedure_file import parameters_of
 from hil.script.procedure_job import procedure_job, resuming_job
-from hil.ui.screen.pieces import draw_ready, draw_where, lead, measured_checks
+from hil.ui.screen.pieces import draw_ready, draw_where, lead, measured_checks, tables_check
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
 from hil.ui.screen.view import View
@@ -61,6 +61,7 @@ def _draw_buttons(
                 ui.switch(one.name, value=one.usual is True) if is_switch else ui.input(one.name, value=one.shown)
             )
             fields[one] = view.named(field, f"procedure.{one.name}")
+        corrected = view.named(ui.switch(view.t("calibrate.correction"), value=False), "procedure.correction")
 
     def given() -> Procedure:
         values = {}
@@ -73,12 +74,14 @@ def _draw_buttons(
             return procedure(**values)
 
     async def start() -> None:
-        await zero.run(view.ask_and_run, procedure_job(axis, given(), zero=zero.said()))
+        job = procedure_job(axis, given(), corrected=bool(corrected.value), zero=zero.said())
+        await zero.run(view.ask_and_run, job)
 
     async def resume() -> None:
         await zero.run(view.ask_and_run, resuming_job(axis, procedure, zero=zero.said()))
 
-    ready = draw_ready(view, "procedure", *measured_checks(view))
+    tables = tables_check(view, lambda: bool(corrected.value))
+    ready = draw_ready(view, "procedure", tables, *measured_checks(view))
     with ui.element("div").classes("hil-buttons"):
         begin = view.button("procedure.start", start)
         zero = ZeroSwitches(view, "procedure", anew=True)
@@ -87,7 +90,7 @@ def _draw_buttons(
 
     def refresh() -> None:
         ready()
-        begin.allow(view.why_not())
+        begin.allow(view.why_not() or ("" if tables.met() else view.t("why.tables_read")))
         zero.refresh()
         lead(None if interrupted() else begin, [begin])
 

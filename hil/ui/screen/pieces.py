@@ -188,6 +188,19 @@ def measured_checks(view: View) -> tuple[Check, ...]:
     )
 
 
+def tables_check(view: View, corrects: Callable[[], bool] = lambda: True) -> Check:
+    """Condition of a job that corrects: the tables can be read. corrects: whether the job does. The password is not kept."""
+
+    async def ask() -> None:
+        given = await view.ask_passwords("calibrate.password", yes="calibrate.password.yes", go="go.tables")
+        if given is not None:
+            token = view.token
+            await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.read_tables(token, *given)))
+
+    readable = lambda: not corrects() or view.desk.rights.store is not None or not view.in_control  # noqa: E731
+    return Check("tables", readable, ("calibrate.open", ask))
+
+
 def take_control(view: View) -> None:
     """Take control of the axis. Raises ControlHeldError."""
     view.browser.tokens[view.desk.name] = view.desk.take_control(view.who)

@@ -7,13 +7,18 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from support.bench_axis import lay_out
-from support.screen import Screen, inside
+import numpy as np
+import pytest
+from support.bench_axis import PASSWORDS, lay_out
+from support.screen import Screen, inside, is_visible
 
 from hil.app.panel.bar import draw_bar
 from hil.app.panel.pages import overview, pages
 from hil.app.panel.unfinished import unfinished_work
 from hil.axis.axis_file import load_axis
+from hil.correction.compensation import Compensation
+from hil.correction.store import SealedStore
+from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.desk.desk import Desk
 from hil.desk.progress import Phase
 from hil.script import page
@@ -71,6 +76,48 @@ def test_a_procedure_is_started_with_its_parameters_and_shows_its_rows(tmp_path:
         assert [round(y, 6) for _, y in drawn["run 1"]] == [
             round(float(error), 6) for error in carried.records.error_um[carried.records.run == 1]
         ]
+
+
+def test_a_procedure_can_be_started_with_the_stored_correction_in_force(tmp_path: Path, until: Until) -> None:
+    creep, axis = load_procedure(CREEP), load_axis(lay_out(tmp_path))
+    store = SealedStore.of(axis, PASSWORDS["HIL_PASSWORD"], PASSWORDS["HIL_KEY_PASSWORD"])
+    places, errors_um = np.array([0.0, 300.0]), np.array([-7.0, -7.0])
+    store.save(Compensation(TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(places, errors_um, errors_um))))
+    with Desk(axis, pace=0.0) as desk:
+        until(lambda: desk.live.connected, "the axis is looked at")
+        token = desk.control.take("test")
+
+        async def work() -> None:
+            screen = Screen(desk, partial(page.draw, procedure=creep), token=token)
+            screen.named("procedure.targets_mm").value = "60"
+            screen.named("procedure.watch_s").value = "1"
+            await screen.refreshes()
+            assert screen.named("procedure.start").enabled
+            assert not is_visible(screen.named("procedure.ready.tables"))
+            screen.named("procedure.correction").value = True
+            await screen.refreshes()
+            assert not screen.named("procedure.start").enabled, "the tables are not opened"
+            opening = screen.begins("procedure.fix.tables")
+            await screen.asked()
+            screen.named("calibrate.password").value = PASSWORDS["HIL_PASSWORD"]
+            screen.begins("calibrate.password.yes")
+            await asyncio.gather(*opening)
+            await screen.refreshes()
+            assert screen.named("procedure.start").enabled
+            started = screen.begins("procedure.start")
+            await screen.asked()
+            screen.begins("question.yes")
+            await asyncio.gather(*started)
+
+        inside(work)
+        until(lambda: not desk.job().running, "it is over")  # type: ignore[union-attr]
+        job = desk.last(creep.kind)
+        assert job is not None
+        assert job.error == ""
+        carried = job.result
+        assert isinstance(carried, Carried)
+        given_um = (carried.records.command_mm - carried.records.target_mm) * 1000.0
+        assert given_um == pytest.approx(-7.0, abs=0.01)
 
 
 def test_a_run_that_was_broken_off_is_gone_on_with_as_it_was_begun(tmp_path: Path, until: Until) -> None:
