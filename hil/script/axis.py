@@ -201,18 +201,20 @@ class Axis:
         if not self._homed or lost or sample.state is not DriveState.ENABLED:
             raise StateError(f"axis {self.name} is {sample.state.value} and not ready to move, expected home() first")
         connection.drive.limits.check_target(position_mm)
-        before_mm = sample.position_load_mm if self._last is None else self._last.target_mm
         velocity = self._velocity(velocity_mm_s)
         self._check_planned(position_mm, velocity)
-        came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
-        direction = came or (0 if self._last is None else self._last.direction)
         if session is None:
+            before_mm = sample.position_load_mm if self._last is None else self._last.target_mm
+            came = 0 if position_mm == before_mm else 1 if position_mm > before_mm else -1
             self._supervisor.move(position_mm, velocity)
+            direction = came or (0 if self._last is None else self._last.direction)
             self._last = _Arrival(position_mm, position_mm, direction)
             return
         command = session.move_to(position_mm, velocity)
-        since_mm, stroke_mm = command.history.since_reversal_mm, command.history.stroke_or_long_mm
-        self._last = _Arrival(position_mm, command.command_mm, direction, since_mm, stroke_mm)
+        way = command.history
+        self._last = _Arrival(
+            position_mm, command.command_mm, way.direction, way.since_reversal_mm, way.stroke_or_long_mm
+        )
 
     def _check_planned(self, position_mm: float, velocity_mm_s: float) -> None:
         """Raises LimitError for a move that a running procedure has not planned."""

@@ -23,6 +23,7 @@ from drivers.canopen.drive import CanOpenDrive
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from hil.app.main import main
+from hil.axis.axis_file import load_axis
 from hil.records.rows import read_csv
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space
@@ -38,6 +39,18 @@ def path(passwords: None, tmp_path: Path) -> Path:
 
 def enabled(axis: hil.Axis) -> bool:
     return axis.read().state == DriveState.ENABLED.value
+
+
+def test_after_homing_the_axis_stands_at_the_reference_as_it_came_from_below(path: Path) -> None:
+    reference_mm = load_axis(path).measurement.reference_mm
+    with hil.open(path) as axis:
+        axis.home()
+        axis.move_to(reference_mm)
+        assert axis.read().direction == 1
+        steps = [0.01 * step for step in [*range(1, 30), *range(28, -1, -1)]]
+        axis.stream([reference_mm + step for step in steps], 0.01)
+        axis.move_to(reference_mm)
+        assert axis.read().direction == -1
 
 
 def test_positions_with_motor_and_instrument_become_rows_for_the_diagnosis(path: Path, tmp_path: Path) -> None:
