@@ -9,6 +9,9 @@ from typing import Any
 from sim_backends.bench import BenchParameters
 from sim_backends.laser import LaserParameters
 
+OVERRUN_MM = 1.0
+"""Of [measurement] where an axis file does not state another: it has to fit between the outermost target and the end of the travel."""
+
 
 def instrument_text(kind: str, port: str) -> str:
     """The [instrument] section for an instrument of a kind on a port; "umd": the laser. port: "" for the bench's own."""
@@ -36,7 +39,8 @@ def axis_text(
         scaling = replace(scaling, encoder_counts_per_motor_rev=counts_per_rev)
     told = drive if drive.get("backend") == "bench" else drive | {"simulated": True}
     keys = "\n".join(f"{name} = {_toml(value)}" for name, value in told.items())
-    first, last = (parameters.plant.begin_mm + share * parameters.plant.length_mm for share in (0.01, 0.99))
+    low_mm, high_mm = limits.travel_min_mm + OVERRUN_MM, limits.travel_max_mm - OVERRUN_MM
+    first, last = (round(low_mm + share * (high_mm - low_mm), 3) for share in (0.01, 0.99))
     return f"""\
 # The machine of a running `hil sim`.
 

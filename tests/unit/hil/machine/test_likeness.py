@@ -16,6 +16,7 @@ from drivers.errors import InputError
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.axis.identity import identity
+from hil.records.journal import MARKER
 from hil.records.rows import Records, read_csv
 
 NOISES = 5.0
@@ -109,6 +110,28 @@ def test_it_says_that_it_is_a_likeness(source: tuple[Path, Records], capsys: pyt
     assert "a likeness of X-campaign, which proves nothing of it" in identity(load_axis(written))["Drive"]
     assert main([*words[:-3], str(folder.parent), "--for", "0.05"]) == 2
     assert "holds no measure.csv" in capsys.readouterr().err
+
+
+def test_an_axis_of_a_few_millimetres_gets_targets_within_its_travel(
+    source: tuple[Path, Records], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, written = source[0], source[0].parent / "S.toml"
+    marker = folder / "calibrate-001" / MARKER
+    purpose = json.loads(marker.read_text())
+    purpose["limits"] |= {"travel_min_mm": -1.8, "travel_max_mm": 1.8}
+    marker.write_text(json.dumps(purpose))
+    rows = [
+        "run,direction,target_mm,measured_mm",
+        *(f"1,{way},{at},{at}" for way in (1, -1) for at in (-0.8, 0.0, 0.8)),
+    ]
+    (folder / "calibrate-001/measure.csv").write_text("\n".join(rows) + "\n")
+    words = ["sim", "drive", "--interface", "slcan-pty", "--laser", "--like", str(folder), "--axis-file", str(written)]
+    assert main([*words, "--for", "0.05"]) == 0
+    targets_mm = load_axis(written).measurement.targets_mm
+    assert len(set(targets_mm)) == 11
+    assert min(targets_mm) < -0.8
+    assert max(targets_mm) > 0.8
+    capsys.readouterr()
 
 
 @pytest.mark.parametrize("like", ["X-campaign", "../real/X-campaign"])
