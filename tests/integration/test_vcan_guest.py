@@ -21,8 +21,8 @@ PREPARED_S = 900
 NO_GUEST = 125
 HOW = (
     "The tests on SocketCAN need either interfaces vcan0 and vcan1 (modprobe vcan; ip link add vcan0 type vcan; ip link set vcan0"
-    " up; the same for vcan1) or, to boot a kernel that has them, qemu-system-x86 and an apt archive"
-    " (sh hil/bootstrap.sh pytest installs it). HIL_NO_VCAN_GUEST=1 skips them."
+    " up; the same for vcan1) or, to start a kernel that has them, an apt archive with"
+    " user-mode-linux, or qemu-system-x86 (sh hil/bootstrap.sh pytest installs it). HIL_NO_VCAN_GUEST=1 skips them."
 )
 
 

@@ -1,8 +1,9 @@
 """Kernel and initramfs of the vcan guest, made from Debian's packages without installing any of them.
 
-`image()` returns them from the cache and builds them on first use. A build takes place in a directory of its own and is renamed into
-place when it is whole, so that the cache holds complete images or none. The name of an image carries the kernel's release
-and a digest of this recipe: a changed recipe is never served from an old build.
+Two kernels can be the guest's: user-mode Linux, a process of this host that computes as fast as the host does (Debian has it), and the
+distribution's own kernel in an emulator, ten times slower. `image()` returns one of them from the cache and builds it on first use. A
+build takes place in a directory of its own and is renamed into place when it is whole: the cache holds complete images or none.
+The name of an image carries the kernel's release and a digest of this recipe: a changed recipe is never served from an old build.
 """
 
 from __future__ import annotations
@@ -21,8 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 HERE = Path(__file__).parent
-KERNELS = ("linux-image-amd64", "linux-image-generic")  # Debian's and Ubuntu's name for "the newest"
-MODULES = ("virtio_pci", "9pnet_virtio", "9p", "overlay", "can_raw", "can_bcm", "vcan")
+MODULES = ("overlay", "can_raw", "can_bcm", "vcan")
 STALE_S = 24 * 3600.0
 DOWNLOAD_LIMIT_S = 600.0
 
@@ -32,8 +32,43 @@ class ImageError(Exception):
 
 
 @dataclass(frozen=True)
+class Kind:
+    """A kernel that can be the guest's.
+
+    packages: that hold it, the first that there is; kernel, modules: where they are unpacked to, modules for each release; transport:
+    further modules; mounts: how the guest sees the host's files and the job's directory.
+    """
+
+    name: str
+    packages: tuple[str, ...]
+    kernel: str
+    modules: tuple[str, ...]
+    transport: tuple[str, ...]
+    mounts: tuple[str, str]
+
+
+PLAN9 = "-t 9p -o trans=virtio,version=9p2000.L,msize=512000"
+USER_MODE = Kind(
+    "uml",
+    ("user-mode-linux",),
+    "usr/bin/linux.uml",
+    ("usr/lib/uml/modules",),
+    (),
+    ("-t hostfs -o ro,/", '-t hostfs -o "$hil_job"'),
+)
+EMULATED = Kind(
+    "linux",
+    ("linux-image-amd64", "linux-image-generic"),  # Debian's and Ubuntu's name for "the newest"
+    "boot/vmlinuz-*",
+    ("lib/modules", "usr/lib/modules"),
+    ("virtio_pci", "9pnet_virtio", "9p"),
+    (f"{PLAN9},ro,cache=loose", f"{PLAN9},cache=none"),
+)
+
+
+@dataclass(frozen=True)
 class Image:
-    """What qemu is started with."""
+    """What a guest is started with."""
 
     kernel: Path
     initramfs: Path
@@ -44,30 +79,30 @@ def recipe() -> str:
     return hashlib.sha256((HERE / "guest_image.py").read_bytes() + (HERE / "init.sh").read_bytes()).hexdigest()[:12]
 
 
-def image(cache: Path) -> Image:
+def image(cache: Path, kind: Kind) -> Image:
     """The image in `cache`, built if it is not there. Raises ImageError."""
     try:
         cache.mkdir(parents=True, exist_ok=True)
-        built = sorted(cache.glob(f"linux-*-{recipe()}"), key=lambda path: path.stat().st_mtime)
-        place = built[-1] if built else _build(cache)
+        built = sorted(cache.glob(f"{kind.name}-*-{recipe()}"), key=lambda path: path.stat().st_mtime)
+        place = built[-1] if built else _build(cache, kind)
     except OSError as error:
         raise ImageError(f"cannot use the cache {cache}: {error}") from error
-    return Image(place / "vmlinuz", place / "initramfs")
+    return Image(place / "kernel", place / "initramfs")
 
 
-def _build(cache: Path) -> Path:
+def _build(cache: Path, kind: Kind) -> Path:
     _sweep(cache)
     with tempfile.TemporaryDirectory(prefix="building-", dir=cache, ignore_cleanup_errors=True) as scratch:
-        unpacked = _packages(Path(scratch))
-        kernels = sorted((unpacked / "boot").glob("vmlinuz-*"))
-        if not kernels:
-            raise ImageError("the kernel's packages hold no boot/vmlinuz-*")
-        release = kernels[-1].name.removeprefix("vmlinuz-")
+        unpacked = _packages(Path(scratch), kind)
+        kernels = sorted(unpacked.glob(kind.kernel))
+        modules = sorted(path for directory in kind.modules for path in unpacked.glob(f"{directory}/*"))
+        if not kernels or not modules:
+            raise ImageError(f"the kernel's packages hold no {kind.kernel} or no modules")
         whole = Path(scratch) / "whole"
         whole.mkdir()
-        shutil.copyfile(kernels[-1], whole / "vmlinuz")
-        (whole / "initramfs").write_bytes(_initramfs(unpacked, release))
-        place = cache / f"linux-{release}-{recipe()}"
+        shutil.copy(kernels[-1], whole / "kernel")
+        (whole / "initramfs").write_bytes(_initramfs(unpacked, modules[-1], kind))
+        place = cache / f"{kind.name}-{modules[-1].name}-{recipe()}"
         try:
             whole.rename(place)
         except OSError:
@@ -78,7 +113,7 @@ def _build(cache: Path) -> Path:
 
 def _sweep(cache: Path) -> None:
     """Remove other recipes' images and what killed builds left, once they are a day old."""
-    for path in [*cache.glob("building-*"), *cache.glob("linux-*")]:
+    for path in [path for name in ("building", USER_MODE.name, EMULATED.name) for path in cache.glob(f"{name}-*")]:
         if not path.name.endswith(recipe()) and time.time() - path.stat().st_mtime > STALE_S:
             shutil.rmtree(path, ignore_errors=True)
 
@@ -86,44 +121,46 @@ def _sweep(cache: Path) -> None:
 # -- packages ---------------------------------------------------------------------------------------------------------
 
 
-def _packages(scratch: Path) -> Path:
+def _packages(scratch: Path, kind: Kind) -> Path:
     """Download kernel, modules and busybox and unpack them; the directory they were unpacked to."""
     for tool in ("apt-get", "apt-cache", "dpkg-deb"):
         if shutil.which(tool) is None:
             raise ImageError(f"{tool} is not here: the guest is made from Debian's packages")
     options: list[str] = ["-o", "APT::Sandbox::User=root"] if os.geteuid() == 0 else []
     try:
-        debs = _download(scratch, options)
+        debs = _download(scratch, kind, options)
     except ImageError:  # no package lists, or outdated ones: fetch them, for us alone
         lists = scratch / "lists"
         (lists / "partial").mkdir(parents=True)
         options += ["-o", f"Dir::State::lists={lists}", "-o", "Dir::Cache::pkgcache=", "-o", "Dir::Cache::srcpkgcache="]
         _run("apt-get", *options, "-o", "Debug::NoLocking=1", "update", cwd=scratch)
-        debs = _download(scratch, options)
+        debs = _download(scratch, kind, options)
     unpacked = scratch / "unpacked"
     for deb in debs:
         _run("dpkg-deb", "-x", str(deb), str(unpacked), cwd=scratch)
     return unpacked
 
 
-def _download(scratch: Path, options: list[str]) -> list[Path]:
-    found = [name for name in KERNELS if _depends(name, options, scratch)]
+def _download(scratch: Path, kind: Kind, options: list[str]) -> list[Path]:
+    found = [name for name in kind.packages if _apt_cache("show", name, options, scratch)]
     if not found:
-        raise ImageError(f"apt-get knows none of {', '.join(KERNELS)}; is there a Debian archive in its sources?")
-    names, todo = ["busybox-static"], [found[0]]
+        raise ImageError(f"apt-get knows none of {', '.join(kind.packages)}; is there a Debian archive in its sources?")
+    names, todo = ["busybox-static", found[0]], [found[0]]
     while todo:  # meta package -> image -> modules, where a distribution ships them apart
-        new = [name for name in _depends(todo.pop(), options, scratch) if name not in names]
+        said = _apt_cache("depends", todo.pop(), options, scratch)
+        needed = re.findall(r"^\s*Depends: (linux-(?:image|modules|modules-extra)-\S+)$", said, re.MULTILINE)
+        new = [name for name in needed if name not in names]
         names += new
         todo += new
     _run("apt-get", *options, "download", *names, cwd=scratch)
     return list(scratch.glob("*.deb"))
 
 
-def _depends(package: str, options: list[str], cwd: Path) -> list[str]:
-    answer = subprocess.run(
-        ["apt-cache", *options, "depends", package], cwd=cwd, capture_output=True, text=True, check=False
-    )
-    return re.findall(r"^\s*Depends: (linux-(?:image|modules|modules-extra)-\S+)$", answer.stdout, re.MULTILINE)
+def _apt_cache(verb: str, package: str, options: list[str], cwd: Path) -> str:
+    """What apt-cache says of a package, "" for one that it does not know."""
+    return subprocess.run(
+        ["apt-cache", *options, verb, package], cwd=cwd, capture_output=True, text=True, check=False
+    ).stdout
 
 
 def _run(*command: str, cwd: Path) -> None:
@@ -139,13 +176,14 @@ def _run(*command: str, cwd: Path) -> None:
 # -- initramfs --------------------------------------------------------------------------------------------------------
 
 
-def _initramfs(unpacked: Path, release: str) -> bytes:
+def _initramfs(unpacked: Path, directory: Path, kind: Kind) -> bytes:
     candidates = [path for path in (unpacked / "bin/busybox", unpacked / "usr/bin/busybox") if path.exists()]
     if not candidates:
         raise ImageError("busybox-static holds no busybox")
-    directory = next(path for path in (unpacked / "lib/modules", unpacked / "usr/lib/modules") if path.is_dir())
-    modules = _modules(directory / release)
-    init = (HERE / "init.sh").read_text().replace("for module in @LOAD@;", f"for module in {' '.join(modules)};")
+    modules = _modules(directory, kind.transport + MODULES)
+    init = (HERE / "init.sh").read_text()
+    for word, text in zip(("@LOAD@", "@HOST@", "@JOB@"), (" ".join(modules), *kind.mounts), strict=True):
+        init = init.replace(word, text)
     executable, plain = 0o755, 0o644
     files = {
         "bin/busybox": (executable, candidates[0].read_bytes()),
@@ -160,8 +198,8 @@ def _initramfs(unpacked: Path, release: str) -> bytes:
     return b"".join(entries)
 
 
-def _modules(directory: Path) -> dict[str, bytes]:
-    """Name and contents of MODULES and of what they depend on, each after its dependencies."""
+def _modules(directory: Path, names: tuple[str, ...]) -> dict[str, bytes]:
+    """Name and contents of modules and of what they depend on, each after its dependencies."""
     there = {re.sub(r"\.ko.*", "", path.name).replace("-", "_"): path for path in directory.rglob("*.ko*")}
     builtin_list = directory / "modules.builtin"
     builtin = {Path(line).stem.replace("-", "_") for line in builtin_list.read_text().splitlines()}
@@ -177,7 +215,7 @@ def _modules(directory: Path) -> dict[str, bytes]:
             load(needed)
         loaded[name] = data
 
-    for name in MODULES:
+    for name in names:
         load(name)
     return loaded
 

@@ -1,6 +1,7 @@
 #!/bin/busybox sh
 # Process 1 of the vcan guest: the host's files under a layer of our own, two virtual CAN interfaces, one job, and off.
-# @LOAD@ is replaced by the modules in the order of their dependencies. The host reads the lines that begin with HIL-GUEST.
+# @LOAD@ is replaced by the modules in the order of their dependencies, @HOST@ and @JOB@ by how the host's files and the job's directory are
+# mounted. The host reads the lines that begin with HIL-GUEST.
 busybox=/bin/busybox
 off() {
     $busybox echo "HIL-GUEST $1"
@@ -16,8 +17,7 @@ for module in @LOAD@; do
     need $busybox insmod "/modules/$module.ko"
 done
 
-plan9=trans=virtio,version=9p2000.L,msize=512000
-need $busybox mount -t 9p -o "$plan9,ro,cache=loose" host /host
+need $busybox mount @HOST@ host /host
 need $busybox mount -t tmpfs -o size=75% layer /layer
 $busybox mkdir /layer/upper /layer/work
 need $busybox mount -t overlay -o lowerdir=/host,upperdir=/layer/upper,workdir=/layer/work root /root
@@ -28,7 +28,7 @@ done
 $busybox mkdir -p /root/dev/pts /root/dev/shm /root/hil-job
 need $busybox mount -t devpts -o mode=620,ptmxmode=666 pts /root/dev/pts
 need $busybox mount -t tmpfs shm /root/dev/shm
-need $busybox mount -t 9p -o "$plan9,cache=none" job /root/hil-job
+need $busybox mount @JOB@ job /root/hil-job
 $busybox ln -sf /proc/self/fd /root/dev/fd
 
 need $busybox ip link set lo up

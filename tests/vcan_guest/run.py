@@ -1,4 +1,4 @@
-"""Run a command under a Linux that has SocketCAN: this host's files, another kernel.
+"""Run a command under a Linux that has SocketCAN: this host's files, another kernel (`guest_image.py`).
 
     python tests/vcan_guest/run.py [--out DIR] [--timeout SECONDS] -- COMMAND [ARGUMENT...]
 
@@ -23,14 +23,15 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 
-from guest_image import Image, ImageError, image
+from guest_image import EMULATED, USER_MODE, Image, ImageError, Kind, image
 
 QEMU = "qemu-system-x86_64"
 BOOT_LIMITS_S = (120.0, 240.0, 480.0)
-"""For each attempt to boot. A guest is ready after 15 s on a free host; one was seen (on a busy host) that had said nothing after its
-firmware within 300 s."""
+"""For each attempt to boot the emulated guest. It is ready after 15 s on a free host; one was seen, on a busy host, that had said
+nothing after its firmware within 300 s. User-mode Linux has the first of them."""
 OUT_OF_TIME, NO_GUEST = 124, 125
 PASSED_ON = re.compile(r"PATH|HOME|LANG|LC_.*|TZ|VIRTUAL_ENV|PYTHON.*|HIL_.*|HYPOTHESIS_.*|OPENBLAS_.*")
 BOOT_ARGUMENTS = (
@@ -67,18 +68,15 @@ def main(arguments: list[str]) -> int:
 
 def run(command: list[str], out: Path | None, end: float) -> int:
     """Boot, run, bring back; the command's exit status."""
-    if shutil.which(QEMU) is None:
-        raise ImageError(f"{QEMU} is not here; please run: apt-get install qemu-system-x86")
     if platform.machine() != "x86_64":
         raise ImageError(
             f"the guest runs this host's programs and is made for x86_64 only, this is {platform.machine()}"
         )
-    started = image(cache_directory())
     with tempfile.TemporaryDirectory(prefix="hil-vcan-guest-") as job_name:
         job = Path(job_name)
         (job / "out").mkdir()
         (job / "job.sh").write_text(job_script(command))
-        _watch(started, job, end)
+        _watch(job, end)
         if out is not None:
             shutil.copytree(job / "out", out, dirs_exist_ok=True)
         try:
@@ -100,7 +98,25 @@ def job_script(command: list[str]) -> str:
     return "\n".join([*lines, f"cd {shlex.quote(os.getcwd())} || exit", f"exec {shlex.join(command)}", ""])
 
 
-def qemu_command(started: Image, job: Path) -> list[str]:
+def user_mode_command(started: Image, job: Path) -> list[str]:
+    """The kernel itself, a process here. `hil_job` becomes a variable of its first process."""
+    return [
+        *(
+            str(started.kernel),
+            "mem=1536M",
+            f"initrd={started.initramfs}",
+            "con0=fd:0,fd:1",
+            "con=null",
+            "quiet",
+            "panic=-1",
+        ),
+        f"hil_job={job}",
+    ]
+
+
+def emulator_command(started: Image, job: Path) -> list[str]:
+    if shutil.which(QEMU) is None:
+        raise ImageError(f"{QEMU} is not here; please run: apt-get install qemu-system-x86")
     return [
         *(QEMU, "-accel", "tcg,thread=multi", "-cpu", "max", "-smp", "2", "-m", "1536"),
         *("-nographic", "-no-reboot", "-nodefaults", "-serial", "stdio", "-monitor", "none", "-nic", "none"),
@@ -111,38 +127,45 @@ def qemu_command(started: Image, job: Path) -> list[str]:
     ]
 
 
-def _watch(started: Image, job: Path, end: float) -> None:
-    """Run qemu to its end, passing on what the command prints. Raises ImageError, OutOfTimeError."""
+def _watch(job: Path, end: float) -> None:
+    """Run a guest to its end, passing on what the command prints: the quick one, or where it cannot be had or does not come up, the
+    emulated one. Raises ImageError, OutOfTimeError."""
+    ways: tuple[tuple[Kind, Callable[[Image, Path], list[str]], tuple[float, ...]], ...] = (
+        (USER_MODE, user_mode_command, BOOT_LIMITS_S[:1]),
+        (EMULATED, emulator_command, BOOT_LIMITS_S),
+    )
     said = ""
-    for limit_s in BOOT_LIMITS_S:
-        try:
-            return _watch_once(started, job, end, limit_s)
-        except NotUpError as error:
-            said = str(error)
-            print(f"vcan guest: {said}", file=sys.stderr, flush=True)
-    raise ImageError(f"{said}; {len(BOOT_LIMITS_S)} attempts")
+    for kind, command, limits_s in ways:
+        for limit_s in limits_s:
+            try:
+                return _watch_once(command(image(cache_directory(), kind), job), end, limit_s)
+            except (NotUpError, ImageError) as error:
+                said = str(error)
+                print(f"vcan guest: {said}", file=sys.stderr, flush=True)
+    raise ImageError(said)
 
 
-def _watch_once(started: Image, job: Path, end: float, limit_s: float) -> None:
+def _watch_once(command: list[str], end: float, limit_s: float) -> None:
     """One attempt. Raises NotUpError where it ended before the command began, else as `_watch`."""
     before = time.monotonic()
     parent = os.getpid()
-    qemu = subprocess.Popen(
-        qemu_command(started, job),
+    guest = subprocess.Popen(
+        command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
+        start_new_session=True,  # user-mode Linux is a group of processes
         preexec_fn=lambda: _die_with(parent),  # noqa: PLW1509  this script has one thread
     )
-    console = Console(qemu)
+    console = Console(guest)
     try:
         _boot(console, min(end, before + limit_s))
         print(f"vcan guest: ready after {time.monotonic() - before:.1f} s", file=sys.stderr, flush=True)
         while (line := console.line(end)) is not None and not line.startswith(MARK):
             print(line, flush=True)
     finally:
-        qemu.kill()
-        qemu.wait()
+        os.killpg(guest.pid, signal.SIGKILL)
+        guest.wait()
 
 
 def _boot(console: Console, end: float) -> None:
@@ -164,16 +187,16 @@ def _boot(console: Console, end: float) -> None:
 class Console:
     """The lines of the guest's serial console, read with a time limit."""
 
-    def __init__(self, qemu: subprocess.Popen[bytes]) -> None:
-        if qemu.stdout is None:
-            raise ValueError("qemu was started without a pipe")
-        self._pipe = qemu.stdout
+    def __init__(self, guest: subprocess.Popen[bytes]) -> None:
+        if guest.stdout is None:
+            raise ValueError("the guest was started without a pipe")
+        self._pipe = guest.stdout
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._pipe, selectors.EVENT_READ)
         self._text = b""
 
     def line(self, end: float) -> str | None:
-        """The next line; None once qemu has ended. Raises OutOfTimeError at the monotonic time `end`."""
+        """The next line; None once the guest has ended. Raises OutOfTimeError at the monotonic time `end`."""
         while b"\n" not in self._text:
             left = end - time.monotonic()
             if left <= 0:

@@ -1,4 +1,4 @@
-"""The guest's launcher against stand-ins for qemu: it ends in time and says what is wrong, whatever the guest does."""
+"""The guest's launcher against stand-ins for its kernels: it ends in time and says what is wrong, whatever the guest does."""
 
 import importlib
 import os
@@ -26,20 +26,22 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture
 def run(tmp_path: Path, guest_image: Any) -> Run:
-    """run(qemu, *arguments): run.py with that shell script as qemu and an image that is none."""
-    place = tmp_path / "hil-vcan-guest" / f"linux-0-{guest_image.recipe()}"
-    place.mkdir(parents=True)
+    """run(qemu, *arguments): run.py with that shell script as qemu and an image that is none. user_mode: the script that is user-mode
+    Linux, one that does not come up."""
+    for kind in ("linux", "uml"):
+        (tmp_path / "hil-vcan-guest" / f"{kind}-0-{guest_image.recipe()}").mkdir(parents=True)
     (tmp_path / "bin").mkdir()
 
-    def run_it(qemu: str | None, *arguments: str) -> subprocess.CompletedProcess[str]:
+    def program(path: Path, text: str) -> None:
+        # $job: the directory shared with the guest
+        find = "*mount_tag=job*) job=${each#local,path=}; job=${job%%,*};; hil_job=*) job=${each#hil_job=};;"
+        path.write_text(f"#!/bin/sh\nfor each; do case $each in {find} esac; done\n{text}\n")
+        path.chmod(0o755)
+
+    def run_it(qemu: str | None, *arguments: str, user_mode: str = "exit 1") -> subprocess.CompletedProcess[str]:
+        program(tmp_path / "hil-vcan-guest" / f"uml-0-{guest_image.recipe()}" / "kernel", user_mode)
         if qemu is not None:
-            script = tmp_path / "bin" / "qemu-system-x86_64"
-            # $job: the directory shared with the guest
-            find_job = (
-                "for each; do case $each in *mount_tag=job*) job=${each#local,path=}; job=${job%%,*};; esac; done"
-            )
-            script.write_text(f"#!/bin/sh\n{find_job}\n{qemu}\n")
-            script.chmod(0o755)
+            program(tmp_path / "bin" / "qemu-system-x86_64", qemu)
         path = f"{tmp_path / 'bin'}:{os.environ['PATH'] if qemu is not None else ''}"
         return subprocess.run(
             [sys.executable, str(TOOLS / "run.py"), *arguments],
@@ -53,14 +55,15 @@ def run(tmp_path: Path, guest_image: Any) -> Run:
     return run_it
 
 
-def test_status_output_and_files_come_back(run: Run, tmp_path: Path) -> None:
+@pytest.mark.parametrize("user_mode", [True, False])
+def test_status_output_and_files_come_back(run: Run, tmp_path: Path, user_mode: bool) -> None:
     guest = (
         'echo noise; echo "HIL-GUEST READY"; sed "s#/hil-job#$job#" $job/job.sh >$job/moved.sh;'
         "sh $job/moved.sh; echo $? >$job/status; echo HIL-GUEST DONE; echo noise"
     )
     out = tmp_path / "out"
     result = run(
-        guest,
+        "exit 1" if user_mode else guest,
         "--out",
         str(out),
         "--",
@@ -69,6 +72,7 @@ def test_status_output_and_files_come_back(run: Run, tmp_path: Path) -> None:
         'echo "$1 in $HIL_VCAN"; echo kept >$HIL_OUT/file; exit 7',
         "x",
         "a  b",
+        user_mode=guest if user_mode else "exit 1",
     )
     assert (result.returncode, result.stdout) == (7, "a  b in guest\n")
     assert (out / "file").read_text() == "kept\n"
@@ -116,18 +120,18 @@ def test_a_build_that_fails_leaves_nothing_in_the_cache(
     monkeypatch.setenv("PATH", "")
     cache = tmp_path / "cache"
     with pytest.raises(guest_image.ImageError, match="apt-get is not here"):
-        guest_image.image(cache)
+        guest_image.image(cache, guest_image.EMULATED)
     assert list(cache.iterdir()) == []
 
 
 def test_half_a_build_and_other_recipes_are_not_taken_for_an_image(
     guest_image: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for name in (f"building-{guest_image.recipe()}", "linux-1-000000000000"):
+    for name in (f"building-{guest_image.recipe()}", "uml-1-000000000000"):
         (tmp_path / name).mkdir()
     monkeypatch.setenv("PATH", "")
     with pytest.raises(guest_image.ImageError):
-        guest_image.image(tmp_path)
+        guest_image.image(tmp_path, guest_image.USER_MODE)
 
 
 def test_the_archive_is_read_by_another_program(guest_image: Any, tmp_path: Path) -> None:
