@@ -11,7 +11,7 @@ import hil
 def main(path: str) -> int:
     with hil.open(path) as axis:
         found = axis.lost_motion()
-    for one in found.raw.result.estimate.contenders:
+    for one in found.raw.estimate.contenders:
         print(f"{one.fitted.shape.name}: {one.held_out_rms_um:.3f} µm RMS on strokes held out")
     print(f"lost motion {found.amount_um:.2f} µm, rising as {found.shape}")
     print(

@@ -5,29 +5,21 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from dataclasses import replace
 
 from drivers.errors import InputError
-from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
 from hil.correction.rise import RUNNABLE, Rise, Shape, rise_of
 from hil.correction.store import SealedStore, bound_tables
 from hil.lost_motion.command_options import SHAPES
-from hil.lost_motion.job import (
-    MeasuredLostMotion,
-    facts,
-    form,
-    lost_motion_config,
-    measuring_plan,
-    report_html,
-    run_lost_motion,
-    sentences,
-)
+from hil.lost_motion.job import lost_motion_config, measuring_plan, run_lost_motion
+from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.procedure import NoLostMotionError
 from hil.ui.terminal.axis_options import load_stored, open_store, tell_zero
 from hil.ui.terminal.measuring_options import machine_of
-from hil.ui.terminal.output import number, print_facts, print_table, times, write_json
+from hil.ui.terminal.output import finish, number, print_facts, print_table, times, write_json
 from hil.ui.terminal.progress import terminal_progress
 from hil.ui.terminal.records_input import read_effects
 
@@ -49,18 +41,14 @@ def run(args: argparse.Namespace) -> int:
     with machine_of(args, axis, moves_axis=moves_axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
         try:
-            measured = run_lost_motion(machine, how, present, listener, seed=args.seed, asked=asked, resume=args.resume)
+            found = run_lost_motion(machine, how, present, listener, seed=args.seed, asked=asked, resume=args.resume)
         except NoLostMotionError as error:
             return _nothing_to_correct(args, axis, str(error))
-        if store is not None and measured.result.good:
-            store.save(measured.result.compensation)
-    stored = str(store.path) if store is not None and measured.result.good else "nothing"
-    _print(measured, stored)
-    if args.report:
-        replace_file(args.report, report_html(axis, measured, stored).encode())
-    if args.json:
-        write_json(args.json, form(axis, measured, stored=stored != "nothing"))
-    return 0 if measured.result.good or measured.result.needless else 1
+        if store is not None and found.raw.good:
+            store.save(found.raw.compensation)
+            found = replace(found, stored=True)
+    _print(found)
+    return finish(args, found)
 
 
 def _nothing_to_correct(args: argparse.Namespace, axis: AxisConfig, sentence: str) -> int:
@@ -103,7 +91,7 @@ def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespac
     )
 
 
-def _print(measured: MeasuredLostMotion, stored: str) -> None:
+def _print(found: ReversalResult) -> None:
     rows = [
         [
             one.fitted.shape.name,
@@ -111,9 +99,9 @@ def _print(measured: MeasuredLostMotion, stored: str) -> None:
             number(one.rms_um, 3),
             number(one.held_out_rms_um, 3),
         ]
-        for one in measured.result.estimate.contenders
+        for one in found.raw.estimate.contenders
     ]
     print_table(["shape", "amount, µm", "RMS, µm", "RMS on strokes held out, µm"], rows)
-    print_facts(facts(measured, stored))
-    for sentence in sentences(measured):
+    print_facts(found.facts())
+    for sentence in found.verdict:
         print(sentence)

@@ -13,7 +13,7 @@ from hil.axis.axis_file import AxisConfig
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
 from hil.lost_motion.estimate import separately_determined
-from hil.lost_motion.job import MeasuredLostMotion
+from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.page_data import (
     KeptLostMotion,
     kept_lost_motion,
@@ -79,7 +79,7 @@ def _draw_buttons(view: View, axis: AxisConfig, ways: dict[str, GoOn], interrupt
     async def store() -> None:
         measured = lost_motion_screen(desk).measured
         if measured is not None:
-            new = t.number(measured.result.estimate.amount_um, 2)
+            new = t.number(measured.raw.estimate.amount_um, 2)
             before = None if measured.present is None else measured.present.rise
             old = t.number(None if before is None else before.amount_um, 2)
             change = view.change(t("lost_motion.amount"), old, new, "µm")
@@ -128,7 +128,7 @@ def _draw_found(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
             std.set_text(t.number(earlier.std_um, 3))
             shape.set_text(_shape(view, earlier.shape))
             return
-        found = None if measured is None else measured.result.estimate
+        found = None if measured is None else measured.raw.estimate
         amount.set_text(t.number(None if found is None else found.amount_um, 2))
         std.set_text("–" if found is None else t.number(found.parameters["amount_um"].std, 3))
         shape.set_text("–" if found is None else _shape(view, found.rise.shape.name))
@@ -152,7 +152,7 @@ def _draw_proof(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
             before.set_text(t.number(earlier.before_um, 2))
             over.set_text(t.number(earlier.over_percent, 1))
             return
-        proof = None if shown.measured is None else shown.measured.result.proof
+        proof = None if shown.measured is None else shown.measured.raw.proof
         after.set_text(t.number(None if proof is None else rms(proof.after_um), 2))
         before.set_text(t.number(None if proof is None else rms(proof.before_um), 2))
         over.set_text(t.number(None if proof is None else 100.0 * proof.over_um / proof.amount_um, 1))
@@ -194,9 +194,9 @@ def _draw_plots(view: View) -> Refresh:
     return refresh
 
 
-def _rise(view: View, measured: MeasuredLostMotion, *, beginning: bool) -> Options:
+def _rise(view: View, measured: ReversalResult, *, beginning: bool) -> Options:
     t = view.t
-    drawn = rise_curves(measured.result.estimate, beginning=beginning)
+    drawn = rise_curves(measured.raw.estimate, beginning=beginning)
     marks = {1: (5, False), -1: (1, True)}
     points = [
         Curve(
@@ -210,9 +210,9 @@ def _rise(view: View, measured: MeasuredLostMotion, *, beginning: bool) -> Optio
     return curves(view, x, t("lost_motion.lost_y"), [*points, *fits])
 
 
-def _moves(view: View, measured: MeasuredLostMotion) -> Options:
+def _moves(view: View, measured: ReversalResult) -> Options:
     t = view.t
-    before, after = proof_points(measured.result.proof)
+    before, after = proof_points(measured.raw.proof)
     drawn = [
         Curve(t("lost_motion.without"), before, 1, "circle"),
         Curve(t("lost_motion.with"), after, 2, "diamond"),
@@ -238,7 +238,7 @@ def _draw_fits(view: View) -> Refresh:
         measured = lost_motion_screen(view.desk).measured
         if measured is None or not latest.is_new(measured):
             return
-        found = measured.result.estimate
+        found = measured.raw.estimate
         shapes.show(
             [
                 [

@@ -21,7 +21,7 @@ from hil.lost_motion.circle import job as circle
 from hil.lost_motion.circle.figures import ring_of
 from hil.lost_motion.circle.job import DrivenCircle
 from hil.lost_motion.estimate import Estimate
-from hil.lost_motion.job import MeasuredLostMotion
+from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.procedure import Proof
 from hil.records.files import parse_json
 from hil.records.rows import UM_PER_MM, Floats
@@ -35,31 +35,32 @@ MOST_POINTS = 1500
 
 @dataclass(frozen=True)
 class LostMotionScreen:
-    """measurement: the last one; number: of its job; measured: its result, None before its end; stored: it is in force;
-    warnings: in English
-    """
+    """measurement: the last one; measured: its result, None before its end; stored: it is in force"""
 
     measurement: Progress | None
-    number: int
-    measured: MeasuredLostMotion | None
+    measured: ReversalResult | None
     stored: bool
-    warnings: tuple[str, ...]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is wrong with the result, in English."""
+        return () if self.measured is None else self.measured.verdict
 
     @property
     def storable(self) -> bool:
         """There is a good result that is not stored yet."""
-        return self.measured is not None and self.measured.result.good and not self.stored
+        return self.measured is not None and self.measured.raw.good and not self.stored
 
 
 def lost_motion_screen(desk: Desk) -> LostMotionScreen:
     """From the present state of the desk."""
     measurement, stored = desk.last(lost_motion.MEASURE), desk.last(lost_motion.STORE)
     measured = None if measurement is None else measurement.result
-    if not isinstance(measured, MeasuredLostMotion):
+    if not isinstance(measured, ReversalResult):
         measured = None
-    kept = stored is not None and stored.phase is Phase.DONE and stored.result is measured is not None
-    warnings = () if measured is None else tuple(lost_motion.sentences(measured))
-    return LostMotionScreen(measurement, 0 if measurement is None else measurement.number, measured, kept, warnings)
+    kept = None if stored is None or stored.phase is not Phase.DONE else stored.result
+    is_stored = measured is not None and isinstance(kept, ReversalResult) and kept.raw is measured.raw
+    return LostMotionScreen(measurement, measured, is_stored)
 
 
 @dataclass(frozen=True)

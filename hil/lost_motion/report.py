@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import replace
 
 import matplotlib as mpl
 import numpy as np
@@ -12,51 +10,28 @@ from matplotlib.figure import Figure
 
 from hil.effects.history import LONG_STROKE_MM
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
+from hil.lost_motion.procedure import LostMotionResult, Proof, rms
 from hil.lost_motion.published import BesidePublished
-from hil.records.rows import Floats, Records
 from hil.ui.report import markup
-from hil.ui.report.markup import header, page, tile
+from hil.ui.report.markup import tile
 from hil.ui.report.svg import PAGE, RC, Theme, inline_svg, label_axes, new_figure
 
 NAMES = {1: "− → +", -1: "+ → −"}
 
 
-class Proven(Protocol):
-    """The part of the proof that is shown: its rows, and the remaining lost motion in each, µm."""
-
-    @property
-    def after(self) -> Records: ...
-    @property
-    def before_um(self) -> Floats: ...
-    @property
-    def after_um(self) -> Floats: ...
-    @property
-    def over_um(self) -> float: ...
+FOOTER = (
+    "<footer>Uncertainties are standard ones, by the scatter of whole strokes: how well these repeat. A shape is fitted"
+    " over the load's own travel, and its RMS is that of the load's place at each place of the motor. The data"
+    " are inside this file as JSON.</footer>"
+)
 
 
-@dataclass(frozen=True)
-class LostMotionReport:
-    """The data of one report; verdict: sentences, may be empty."""
-
-    title: str
-    estimate: Estimate
-    proof: Proven
-    verdict: Sequence[str] = ()
-    identity: Mapping[str, str] = field(default_factory=dict)
-    facts: Mapping[str, str] = field(default_factory=dict)
-    published: BesidePublished | None = None
-
-
-def render_lost_motion(report: LostMotionReport) -> str:
-    """The whole page as HTML. Same data, same text."""
-    found = report.estimate
+def sections(result: LostMotionResult, published: BesidePublished) -> list[str]:
+    """The reversals with the fitted shapes, both forms, and the moves of the proof, as HTML."""
+    found = result.estimate
     rise = inline_svg(rise_plot(found, PAGE), "rise", "Lost motion over the load's travel since the reversal")
-    proof = inline_svg(proof_plot(report.proof, PAGE), "proof", "What is left in fresh moves, before and after")
-    parts = [
-        header(report.title, report.identity.get("Measured", "")),
-        _tiles(report),
-        *(f'<p class="callout">{markup.text(sentence)}</p>' for sentence in report.verdict),
-        "<h2>Identity</h2>" + markup.definitions(dict(report.identity)) if report.identity else "",
+    proof = inline_svg(proof_plot(result.proof, PAGE), "proof", "What is left in fresh moves, before and after")
+    return [
         "<h2>After a reversal</h2>"
         + markup.figure(
             rise,
@@ -66,18 +41,15 @@ def render_lost_motion(report: LostMotionReport) -> str:
         *(_data(number, found) for number in range(len(found.reversals))),
         _contenders(found),
         _parameters(found),
-        _published(report.published),
+        _published(published),
         "<h2>Fresh moves of all lengths</h2>"
         + markup.figure(
             proof,
             "What is left of the lost motion at the end of each move, with the sign of the move: above zero is too far. The same"
             " moves, as the machine was before and with the correction in force.",
         ),
-        _proof_data(report.proof),
-        "<h2>Result</h2>" + markup.definitions({k.strip(): v for k, v in report.facts.items()}) if report.facts else "",
-        _footer(),
+        _proof_data(result.proof),
     ]
-    return page(report.title, parts)
 
 
 def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
@@ -121,7 +93,7 @@ def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
         return figure
 
 
-def proof_plot(proof: Proven, theme: Theme) -> Figure:
+def proof_plot(proof: Proof, theme: Theme) -> Figure:
     """Remaining lost motion, move by move, before and after, µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 3.2, top_in=0.6)
@@ -136,17 +108,17 @@ def proof_plot(proof: Proven, theme: Theme) -> Figure:
         return figure
 
 
-def _tiles(report: LostMotionReport) -> str:
-    found, proof = report.estimate, report.proof
-    amount = found.parameters["amount_um"]
-    before, after = (float(np.sqrt(np.mean(values**2))) for values in (proof.before_um, proof.after_um))
-    tiles = [
+def tiles(result: LostMotionResult) -> str:
+    """The amount and the proof, as HTML."""
+    found, proof = result.estimate, result.proof
+    amount, before, after = found.parameters["amount_um"], rms(proof.before_um), rms(proof.after_um)
+    shown = [
         tile("Lost motion", markup.number(found.amount_um), "µm", f"± {markup.number(2.0 * amount.std, 3)} (k = 2)"),
         tile("Fresh moves, before", markup.number(before), "µm RMS"),
         tile("Fresh moves, after", markup.number(after), "µm RMS"),
         tile("Over-compensated at worst", markup.number(100.0 * proof.over_um / found.amount_um, 1), "%"),
     ]
-    return '<div class="tiles">' + "".join(tiles) + "</div>"
+    return '<div class="tiles">' + "".join(shown) + "</div>"
 
 
 def _data(number: int, estimate: Estimate) -> str:
@@ -184,9 +156,7 @@ def _parameters(estimate: Estimate) -> str:
     return markup.table(head, rows, css="numbers") + note
 
 
-def _published(beside: BesidePublished | None) -> str:
-    if beside is None:
-        return ""
+def _published(beside: BesidePublished) -> str:
     moves, form = beside.moves, beside.form
     finite = [replace(move, stroke_mm=min(move.stroke_mm, LONG_STROKE_MM)) for move in moves]
     columns = {
@@ -204,7 +174,7 @@ def _published(beside: BesidePublished | None) -> str:
     )
 
 
-def _proof_data(proof: Proven) -> str:
+def _proof_data(proof: Proof) -> str:
     columns = {
         "target_mm": proof.after.target_mm,
         "direction": proof.after.direction,
@@ -212,11 +182,3 @@ def _proof_data(proof: Proven) -> str:
         "after_um": proof.after_um,
     }
     return markup.data_table("data-proof", "Every move", columns)
-
-
-def _footer() -> str:
-    return (
-        "<footer>Uncertainties are standard ones, by the scatter of whole strokes: how well these repeat. A shape is fitted"
-        " over the load's own travel, and its RMS is that of the load's place at each place of the motor. The data"
-        " are inside this file as JSON.</footer>"
-    )

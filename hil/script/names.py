@@ -25,6 +25,7 @@ from hil.desk.reading import AxisReading
 from hil.desk.result import Result
 from hil.desk.rows import Rows
 from hil.drive_table.result import DriveTableResult
+from hil.lost_motion.measured import ReversalResult
 from hil.machine.events import Event
 from hil.probe.results import BoreResult, FeatureResult, ProbeCorrectionResult, ProbeResult, RunOutResult
 from hil.records.made_with import MadeWithError
@@ -39,15 +40,13 @@ from hil.script.procedure import Procedure, Row
 from hil.script.results import (
     CalibrationResult,
     DoctorResult,
-    ErrorFigures,
     LoopResult,
-    MeasuredResult,
     ParameterComparison,
     ParameterWriting,
     ProcedureResult,
-    ReversalResult,
     VerificationResult,
 )
+from hil.ui.report.measured_result import ErrorFigures, MeasuredResult
 
 __all__ = [
     "AbortError",

@@ -20,7 +20,6 @@ from hil.script.results import (
     DoctorResult,
     LoopResult,
     ProcedureResult,
-    ReversalResult,
     VerificationResult,
 )
 
@@ -31,6 +30,7 @@ if TYPE_CHECKING:  # drivers and fits load slowly
     from hil.correction.store import SealedStore
     from hil.desk.axis_thread import Connection
     from hil.desk.job import Job, Workplace
+    from hil.lost_motion.measured import ReversalResult
     from hil.machine.bench_wiring import RunningBench
     from hil.machine.session import AxisSession
     from hil.script.own_table import OwnTable
@@ -232,11 +232,11 @@ class OpenAxis(Axis):
         axis = self._measured_file(lost_motion=how)
         there = bound_tables(axis) is not None
         opened = self._passwords.store(axis, writing=store) if store or there else None
-        measured = self._carry_out(measuring_job(axis, lost_motion_config(axis), seed=seed, resume=resume), opened)
-        stored = store and measured.result.good
-        if stored:
-            self._carry_out(store_job(axis, measured), opened)
-        return ReversalResult(axis, measured.kept, measured, stored)
+        job = measuring_job(axis, lost_motion_config(axis), seed=seed, resume=resume)
+        measured: ReversalResult = self._carry_out(job, opened)
+        if store and measured.raw.good:
+            measured = self._carry_out(store_job(axis, measured), opened)
+        return measured
 
     def close_loop(
         self,

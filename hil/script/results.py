@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from drivers.errors import CapabilityError, InputError
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.desk.result import Result
-from hil.desk.rows import Rows
 from hil.figures.verdict import Accuracy
 from hil.records.rows import Records
 from hil.script.given import Passwords
+from hil.ui.report.measured_result import ErrorFigures, MeasuredResult
 
 if TYPE_CHECKING:  # what measures and fits loads slowly
     from drivers.parameters import ParameterValue
@@ -24,59 +23,8 @@ if TYPE_CHECKING:  # what measures and fits loads slowly
     from hil.correction.tables import TableSet
     from hil.diagnosis.loop.procedure import Loop
     from hil.doctor.procedure import Check
-    from hil.lost_motion.job import MeasuredLostMotion
     from hil.parameters.compare import Comparison
     from hil.parameters.report import JobReport
-
-
-@dataclass(frozen=True)
-class ErrorFigures:
-    """Figures of the errors of some rows, µm. A, R, B and M of ISO 230-2 are None if the rows do not give them."""
-
-    rows: int
-    rms_um: float
-    mean_um: float
-    peak_um: float
-    A_um: float | None = None
-    R_um: float | None = None
-    B_um: float | None = None
-    M_um: float | None = None
-
-    @classmethod
-    def of(cls, records: Records) -> ErrorFigures:
-        """The figures of these rows."""
-        from hil.figures.error_figures import error_figures  # noqa: PLC0415  (loads slowly)
-
-        return cls(**error_figures(records))
-
-    @property
-    def in_short(self) -> str:
-        """A if it is known, else the largest error, µm."""
-        return f"peak {self.peak_um:.2f} µm" if self.A_um is None else f"A {self.A_um:.2f} µm"
-
-
-class MeasuredResult(Result):
-    """A result with rows along the axis."""
-
-    @property
-    @abstractmethod
-    def records(self) -> Records:
-        """The rows of the last pass."""
-
-    @property
-    def rows(self) -> Rows:
-        """The rows of the last pass, as columns."""
-        return Rows(self.records.columns)
-
-    def _repr_html_(self) -> str:
-        """The sentence and the plot of the errors, for a notebook."""
-        from hil.ui.report.data import NamedCampaign  # noqa: PLC0415  (plots are slow to import)
-        from hil.ui.report.markup import text  # noqa: PLC0415
-        from hil.ui.report.plots import error_plot  # noqa: PLC0415
-        from hil.ui.report.svg import LIGHT, file_bytes  # noqa: PLC0415
-
-        svg = file_bytes(error_plot(NamedCampaign(self.axis.name, self.records), LIGHT), "svg").decode()
-        return f"<p>{text(self.sentence)}</p>{svg[svg.index('<svg') :]}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -224,63 +172,6 @@ class VerificationResult(MeasuredResult):
         made = made_certificate(Order(axis, [str(rows)], [campaign]))
         write_signed(made, builder_key(axis, given=self._passwords.key), str(path))
         return Path(path)
-
-
-@dataclass(frozen=True, repr=False)
-class ReversalResult(MeasuredResult):
-    """Lost motion after a reversal. stored: whether the correction was put into force."""
-
-    axis: AxisConfig
-    raw: MeasuredLostMotion
-    stored: bool
-
-    @property
-    def amount_um(self) -> float:
-        """The lost motion."""
-        return self.raw.result.estimate.amount_um
-
-    @property
-    def shape(self) -> str:
-        """Name of the fitted curve."""
-        return self.raw.result.estimate.rise.shape.name
-
-    @property
-    def before_um(self) -> float:
-        """Largest error of the moves of the proof without the correction, µm."""
-        return float(abs(self.raw.result.proof.before_um).max())
-
-    @property
-    def after_um(self) -> float:
-        """The same with the correction in force."""
-        return float(abs(self.raw.result.proof.after_um).max())
-
-    @property
-    def good(self) -> bool:
-        """Whether the improvement is proven, or none is needed."""
-        return self.raw.result.good or self.raw.result.needless
-
-    @property
-    def records(self) -> Records:
-        """Of the strokes."""
-        return self.raw.result.records
-
-    @property
-    def sentence(self) -> str:
-        """The amount, its shape, and the proof."""
-        proof = f"{self.before_um:.2f} → {self.after_um:.2f} µm at worst"
-        kept = "stored" if self.stored else "not stored"
-        return f"lost motion of {self.axis.name}: {self.amount_um:.2f} µm as {self.shape}, {proof}, {kept}"
-
-    def form(self) -> Mapping[str, Any]:
-        """As `hil lost-motion --json`."""
-        from hil.lost_motion.job import form  # noqa: PLC0415  (loads slowly)
-
-        return form(self.axis, self.raw, stored=self.stored)
-
-    def _page(self) -> str:
-        from hil.lost_motion.job import report_html  # noqa: PLC0415  (plots are slow to import)
-
-        return report_html(self.axis, self.raw, str(self.axis.tables_path) if self.stored else "nothing")
 
 
 @dataclass(frozen=True, repr=False)

@@ -23,6 +23,7 @@ OWN = (
     "Axis.hold",
     "OpenAxis.forget",
     *(f"BacklashResult.{name}" for name in ("how", "settings", "kept", "table", "parameters", "identity")),
+    *(f"ReversalResult.{name}" for name in ("how", "present", "verdict", "published", "facts", "identity")),
 )
 """Members that only this program calls."""
 SECTIONS = {"measurement": values.Measuring, "lost_motion": values.Reversing, "backlash": values.Winding}

@@ -15,6 +15,7 @@ import pytest
 
 from drivers.errors import InputError
 from drivers.limits import DriveLimits
+from hil.axis.axis_file import AxisConfig
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise
@@ -23,7 +24,7 @@ from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, term_from_json
 from hil.lost_motion.estimate import Estimate, Uncertain
 from hil.lost_motion.fit import Contender, Fitted
-from hil.lost_motion.job import MeasuredLostMotion, facts
+from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.procedure import (
     LostMotionResult,
     Proof,
@@ -244,8 +245,8 @@ def told(first: Uncertain, second: Uncertain) -> dict[str, str]:
     found = Estimate(RISE, parameters, parameters, (), (), 0.0)
     proof = SimpleNamespace(before_um=np.ones(2), after_um=np.zeros(2), over_um=0.1, improvement_um=Uncertain(1.0, 0.0))
     result = SimpleNamespace(estimate=found, stretch=SimpleNamespace(noise_um=0.01), proof=proof)
-    how = cast(LostMotionConfig, None)
-    return facts(MeasuredLostMotion(how, cast(LostMotionResult, cast(Any, result)), None, Path()), "nothing")
+    axis, how = cast(AxisConfig, None), cast(LostMotionConfig, None)
+    return ReversalResult(axis, Path(), how, cast(LostMotionResult, cast(Any, result)), None).facts()
 
 
 @pytest.mark.parametrize(
