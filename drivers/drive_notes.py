@@ -87,7 +87,6 @@ class AxisFileKey:
         return f"--{self.key.replace('_', '-')}"
 
     def line(self, value: str) -> str:
-        """The line of an axis file."""
         numeric = self.key in ("modes", "heartbeat_s", "axis")
         return f"{self.key} = {value}" if numeric else f'{self.key} = "{value}"'
 

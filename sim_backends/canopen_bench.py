@@ -95,7 +95,6 @@ class CanBench:
 
     @property
     def servo(self) -> SimulatedServo:
-        """The first servo."""
         return self.servos[self.node_ids[0]]
 
     @property

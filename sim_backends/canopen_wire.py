@@ -72,7 +72,6 @@ class SimWire:
         clock.attach(self._advance, bearable=self._bearable)
 
     def add_node(self) -> Node:
-        """Connect another node."""
         node = Node(self)
         self._nodes.append(node)
         return node
@@ -154,7 +153,6 @@ class SimWire:
         return self.next_event_ns() - now_ns
 
     def next_event_ns(self) -> int:
-        """Time of the next event, ns."""
         next_ns = FOREVER_NS if self._current is None else self._current[2]
         for node in self._nodes:
             due_ns = node.due_ns()

@@ -174,7 +174,6 @@ class AxisFileKeys:
 
     @property
     def drive(self) -> dict[str, str]:
-        """Those of [drive]."""
         named = {"velocity_unit": self.velocity_unit, "acceleration_unit": self.acceleration_unit}
         return {name: value for name, value in named.items() if value is not None}
 

@@ -94,7 +94,6 @@ class WireFaultKind(Enum):
 
 
 def fault_names(kind: type[Enum]) -> tuple[str, ...]:
-    """The names of the kinds as they are typed."""
     return tuple(member.name.lower().replace("_", "-") for member in kind)
 
 

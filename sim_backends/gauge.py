@@ -92,7 +92,6 @@ class SimulatedGauge:
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is open."""
         return self._wire.is_open
 
     def bearable(self, now_ns: int) -> int:

@@ -77,7 +77,6 @@ class SimulatedLaser:
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is open."""
         return self._wire.is_open
 
     def configure(self, parameters: LaserParameters) -> None:
@@ -86,7 +85,6 @@ class SimulatedLaser:
         self.interferometer.configure(parameters)
 
     def schedule(self, faults: tuple[Fault, ...]) -> None:
-        """Replace the schedule of faults."""
         self._faults = FaultSchedule(faults)
 
     def add_faults(self, faults: tuple[Fault, ...]) -> None:

@@ -54,7 +54,6 @@ class MakerFile:
 
     @property
     def product(self) -> str:
-        """The name of the product."""
         return self.device.get("productname", "")
 
     @property

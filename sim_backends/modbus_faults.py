@@ -44,7 +44,6 @@ class WireFaultPlan:
         self._faults.append((fault, [0]))
 
     def clear(self) -> None:
-        """Remove every fault."""
         self._faults.clear()
 
     def hit_by(self, unit: int, function: int) -> WireFault | None:

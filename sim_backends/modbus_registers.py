@@ -62,7 +62,6 @@ class Cell:
         return self.address + self.words
 
     def now(self) -> list[int]:
-        """The present words."""
         value = self.read()
         if self.code == "?":
             return [int(bool(value))]

@@ -93,7 +93,6 @@ class SimulatedServo:
 
     @property
     def velocity_actual_counts_s(self) -> int:
-        """Actual velocity, counts/s."""
         return round(self._actual_velocity)
 
     @property
@@ -121,17 +120,14 @@ class SimulatedServo:
 
     @property
     def positive_limit_switch(self) -> bool:
-        """Whether the positive limit switch is active."""
         return self._switches.positive_limit(self._actual)
 
     @property
     def negative_limit_switch(self) -> bool:
-        """Whether the negative limit switch is active."""
         return self._switches.negative_limit(self._actual)
 
     @property
     def home_switch(self) -> bool:
-        """Whether the home switch is active."""
         return self._switches.home(self._actual)
 
     @property

@@ -53,7 +53,6 @@ class InstrumentTerminal:
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is open."""
         return self._master >= 0
 
     def heard(self) -> bytes:
@@ -133,7 +132,6 @@ class DelayedLine:
         return self._waiting[0][0] if self._waiting else _FAR_NS
 
     def put(self, message: bytes, time_ns: int) -> None:
-        """Queue a message of this time, ns."""
         due_ns = time_ns + self._latency_ns
         if self._jitter_ns:
             due_ns += round(self._rng.uniform(0.0, self._jitter_ns))

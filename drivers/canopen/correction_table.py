@@ -63,7 +63,6 @@ class CanOpenCorrectionTable(TableOnWire):
                     self._node.sdo.write(_element(first, index), value)
 
     def pack(self, table: RawTable) -> bytes:
-        """The bytes of a domain for this table."""
         rows = zip(*(getattr(table, column) for column, _ in self.map.record), strict=True)
         return b"".join(self._record.pack(*row) for row in rows)
 

@@ -109,7 +109,6 @@ FITTING: Mapping[ParameterKind, tuple[type, ...]] = {
 
 
 def kind_of(data_type: DataType) -> ParameterKind:
-    """The kind of a value of this type."""
     return _KINDS.get(data_type, ParameterKind.INTEGER)
 
 

@@ -81,7 +81,6 @@ class NodeMonitor:
         link.subscribe(EMERGENCY + node_id, self._on_emergency)
 
     def close(self) -> None:
-        """Stop listening."""
         self.link.unsubscribe(HEARTBEAT + self.node_id, self._on_heartbeat)
         self.link.unsubscribe(EMERGENCY + self.node_id, self._on_emergency)
 
@@ -171,6 +170,5 @@ class Node:
         self.monitor = NodeMonitor(self.link, self.node_id, where)
 
     def close(self) -> None:
-        """Stop listening."""
         self.monitor.close()
         self.sdo.close()

@@ -181,7 +181,6 @@ def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[Finding]:
 
 
 def _pdo(node_id: int, spec: PdoSpec, known: Dictionary | None) -> list[Finding]:
-    """Findings on one PDO."""
     findings = []
     if not spec.entries:
         findings.append(_warning("empty", f"node {node_id}: {spec} maps nothing"))

@@ -95,7 +95,6 @@ class Sampler:
             self._link.subscribe(spec.cob_id, receiver)
 
     def unsubscribe(self) -> None:
-        """Stop listening."""
         for cob_id, receiver in self._receivers.items():
             self._link.unsubscribe(cob_id, receiver)
         self._receivers = {}

@@ -218,7 +218,6 @@ class SdoClient:
         link.subscribe(SDO_RESPONSE + node_id, self._on_frame)
 
     def close(self) -> None:
-        """Stop listening."""
         self.link.unsubscribe(SDO_RESPONSE + self.node_id, self._on_frame)
 
     def named(self, error: BridgeError) -> BridgeError:

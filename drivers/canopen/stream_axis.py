@@ -137,7 +137,6 @@ class Axis:
 
     # -- frames ----------------------------------------------------------------------------------------------------------
     def receive(self, time_ns: int, data: bytes) -> None:
-        """The TPDO of this axis."""
         if len(data) >= 6:
             self.status, self.position_counts = self._unpack_from(data)
             self.heard_ns = time_ns

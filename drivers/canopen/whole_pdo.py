@@ -73,7 +73,6 @@ class PdoImage:
         return block
 
     def pack(self) -> bytes:
-        """The bytes of a set."""
         return pack_concise(self.items)
 
     @property

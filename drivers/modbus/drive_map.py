@@ -256,7 +256,6 @@ class ProbeMap:
 
     @property
     def edges(self) -> Mapping[Edge, EdgeMap]:
-        """The edges that it latches."""
         both = {Edge.POSITIVE: self.positive, Edge.NEGATIVE: self.negative}
         return {edge: found for edge, found in both.items() if found is not None}
 

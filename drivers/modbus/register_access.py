@@ -49,7 +49,6 @@ class RegisterAccess:
     def words(
         self, names: Sequence[str], *, urgent: bool = False, repeats: int | None = None
     ) -> dict[str, tuple[int, ...]]:
-        """The registers' words by name."""
         read = partial(self.link.read, self.unit, urgent=urgent, repeats=repeats)
         answers = [(request, read(request.table, request.span)) for request in self.plan(names).requests]
         words: dict[str, tuple[int, ...]] = {}

@@ -56,7 +56,6 @@ class Function(IntEnum):
 
     @property
     def is_write(self) -> bool:
-        """Whether it writes."""
         return self in (Function.WRITE_COIL, Function.WRITE_REGISTER, Function.WRITE_COILS, Function.WRITE_REGISTERS)
 
     @property

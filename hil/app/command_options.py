@@ -18,7 +18,6 @@ shows an error that no table holds. The loop finds its cause, adds it to the cor
 
 
 def add_demo(subparsers: Subparsers) -> None:
-    """Add `hil demo`."""
     parser = verb_parser(
         subparsers,
         "demo",
@@ -51,7 +50,6 @@ LANGUAGES = ("en", "de", "zh")
 
 
 def add_panel(subparsers: Subparsers) -> None:
-    """Add `hil panel`."""
     parser = verb_parser(subparsers, "panel", "Serve the operator's screen of one or several axes.", PANEL_EXAMPLE)
     parser.add_argument("axes", metavar="AXIS.toml", nargs="+", help="an axis file each")
     parser.add_argument("--probe", metavar="MACHINE.toml", help="the machine file of a touch probe, for its page")

@@ -20,7 +20,6 @@ example:
 
 
 def add_parser(subparsers: Subparsers) -> None:
-    """Add `hil help`."""
     parser = verb_parser(
         subparsers, "help", "Show a page of the documentation. Without a topic: list the topics.", EXAMPLE
     )
@@ -40,7 +39,6 @@ def pages() -> dict[str, Traversable]:
 
 
 def title(page: Traversable) -> str:
-    """The heading of a page."""
     with page.open(encoding="utf-8") as lines:
         return next(lines).removeprefix("# ").strip()
 

@@ -28,7 +28,6 @@ FAULT_HELP = "what goes wrong, and when: KIND@SECONDS[+SECONDS][=SIZE], for exam
 
 
 def add_parser(subparsers: Subparsers) -> None:
-    """Add `hil sim`."""
     parser = verb_parser(
         subparsers, "sim", "Run a simulated machine, or a part of one, as a process of its own in real time.", EXAMPLE
     )

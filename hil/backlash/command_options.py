@@ -26,7 +26,6 @@ needs their passwords. Exit status 1: no break-away within the allowed steps (de
 
 
 def add_parser(subparsers: Subparsers) -> None:
-    """Adds `hil backlash`."""
     parser = verb_parser(
         subparsers,
         "backlash",

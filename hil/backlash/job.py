@@ -62,7 +62,6 @@ def _parameters(axis: DriveAxis, how: BacklashConfig) -> list[str]:
 
 # -- measure -------------------------------------------------------------------------------------------------------------
 def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False) -> Plan:
-    """The moves and writes of a measurement."""
     moves = []
     for direction in how.directions:
         ends = (how.start_mm(direction), how.turning_mm(direction), how.end_mm(direction))

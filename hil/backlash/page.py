@@ -22,7 +22,6 @@ Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:
-    """Draws the page."""
     messages = view.messages("backlash.messages")
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
@@ -101,7 +100,6 @@ def _change(view: View, seen: CompensationState, new: float | None) -> str:
 
 
 def _draw_buttons(view: View) -> Refresh:
-    """Inputs and buttons."""
     t, desk = view.t, view.desk
     how = backlash.backlash_config(desk.axis)
     fastest = desk.axis.limits.max_velocity_mm_s

@@ -212,7 +212,6 @@ class _Measurement:
         return f"run {run} of {self.how.runs}, {NAMES[direction]}"
 
     def result(self, one: Reversal) -> Event:
-        """The event for the result of a reversal."""
         direction = one.trace.direction
         found = Measured(_series(one.run, direction), one.lost_motion_um(self.how.method), "µm")
         return Event(self._stage(one.run, direction), "done", self.how.steps, self.how.steps, found)

@@ -37,7 +37,6 @@ tables, and nothing is stored.
 
 
 def add_calibrate(subparsers: Subparsers) -> None:
-    """Adds `hil calibrate`."""
     parser = verb_parser(
         subparsers,
         "calibrate",
@@ -98,7 +97,6 @@ Exit status 1: A fails the limit or is undecided; or sections lie outside the ba
 
 
 def add_verify(subparsers: Subparsers) -> None:
-    """Adds `hil verify`."""
     parser = verb_parser(
         subparsers,
         "verify",
@@ -132,7 +130,6 @@ Exit status 1: the correction leaves no less than before by more than the uncert
 
 
 def add_straightness(subparsers: Subparsers) -> None:
-    """Adds `hil straightness`."""
     parser = verb_parser(
         subparsers,
         "straightness",

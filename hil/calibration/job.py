@@ -82,7 +82,6 @@ def run_dense_pass(machine: Machine, listener: Listener = silent, *, resume: boo
 
 
 def with_dense_pass(plan: Plan, axis: AxisConfig) -> Plan:
-    """The plan of a calibration after a dense pass."""
     return _with_moves(plan, measuring_plan(axis, dense_steps(axis), []), plan)
 
 
@@ -328,7 +327,6 @@ class Part:
 
     @classmethod
     def of_both(cls, table: DirectionalTable) -> Part:
-        """The part of both directions of a table."""
         return replace(cls.of(np.concatenate([table.plus_um, table.minus_um])), places=len(table.position_mm))
 
     def __str__(self) -> str:
@@ -430,7 +428,6 @@ def verify(
 
 
 def verification_plan(axis: AxisConfig, seed: int) -> Plan:
-    """The moves and writes of a verification."""
     steps = bidirectional_steps(other_targets(axis.measurement, seed), axis.measurement.runs)
     return measuring_plan(axis, steps, [Write("rows", str(axis.store.directory))])
 
@@ -589,7 +586,6 @@ class Across:
             yield machine
 
     def in_plan(self, plan: Plan, axis: AxisConfig) -> Plan:
-        """The plan with this axis's move."""
         if axis.straightness is None:
             return plan
         at_mm, limits = axis.straightness.at_mm, self.axis.limits

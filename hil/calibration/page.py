@@ -52,7 +52,6 @@ SHOWN_KINDS = (*KINDS, STRAIGHTNESS, MANUAL, ENTER, WITHDRAW)
 
 
 def draw(view: View) -> None:
-    """Draws the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("calibrate.no_instrument")).classes("hil-note"), "calibrate.no_instrument")

@@ -35,7 +35,6 @@ def verification_report(axis: AxisConfig, tables: TableSet, result: Verification
 
 
 def verified_campaign(axis: AxisConfig, result: Verification) -> NamedCampaign:
-    """A verification as a campaign of a report."""
     note = _outside_note(len(result.outside), axis.correction.band)
     if result.not_judged:
         note += f"; not judged, with the reason: {'; '.join(map(str, result.not_judged))}"

@@ -100,7 +100,6 @@ class Proposal:
     limit_um: float | None
 
     def sentences(self) -> tuple[str, ...]:
-        """The proposal in words."""
         cyclic, now = self.between, self.now
         amplitude = f"{cyclic.amplitude_um:.2f} ± {2.0 * cyclic.amplitude_std_um:.2f} µm"
         lines = [

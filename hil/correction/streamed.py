@@ -253,7 +253,6 @@ class StreamedCorrection:
 
     # -- branches --------------------------------------------------------------------------------------------------------
     def _branch_from(self, first: MotionHistory) -> _Branch:
-        """The branch that a motion is on."""
         direction, turns, rise = first.direction, first.turns_mm, self._rise
         sign, along = float(direction or 1), self._along[direction or 1]
         until_mm = sign * turns[-2] if len(turns) >= 2 else math.inf

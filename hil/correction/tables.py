@@ -230,7 +230,6 @@ class TableSet:
 
     @classmethod
     def zero(cls, position_mm: Floats) -> TableSet:
-        """No correction."""
         return cls(TableMode.BIDIRECTIONAL, DirectionalTable.constant(position_mm, 0.0))
 
     @property

@@ -127,7 +127,6 @@ class AxisThread:
 
     # -- for any thread ------------------------------------------------------------------------------------------------
     def start(self) -> None:
-        """Start the thread, which connects the axis."""
         self._thread.start()
 
     def press_stop(self) -> None:

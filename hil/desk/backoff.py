@@ -36,6 +36,5 @@ class BackOff:
             return count
 
     def right(self, key: str) -> None:
-        """Note a right one."""
         with self._lock:
             self._wrong.pop(key, None)

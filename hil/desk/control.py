@@ -87,7 +87,6 @@ class Control:
             self.on_change()
 
     def holds(self, token: str | None) -> bool:
-        """Whether this token is the one in force."""
         with self._lock:
             return self._token is not None and token is not None and hmac.compare_digest(token, self._token)
 

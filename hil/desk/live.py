@@ -185,7 +185,6 @@ class Board:
     # -- for everybody ---------------------------------------------------------------------------------------------------
     @property
     def live(self) -> Live:
-        """The latest state."""
         with self._lock:
             return self._live
 

@@ -170,7 +170,6 @@ class JobLog:
         self._series[point.series].append((self._points, point.x, point.y))
 
     def tell(self, text: str) -> None:
-        """Keep a message."""
         with self._lock:
             self._messages.append(text)
 

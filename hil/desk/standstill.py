@@ -42,7 +42,6 @@ class Standstill:
         self._speed_mm_s = 0.0
 
     def look(self, sample: DriveSample) -> None:
-        """Take a sample of the drive."""
         before, self._before = self._before, sample
         if before is None or sample.time_ns <= before.time_ns:
             return

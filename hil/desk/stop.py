@@ -71,7 +71,6 @@ class Pacing:
         return time.monotonic_ns() if simulated_ns is None else simulated_ns
 
     def set_factor(self, factor: float) -> None:
-        """Set the factor from now on."""
         if factor != self._factor:
             self._factor, self._from = factor, None
 

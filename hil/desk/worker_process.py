@@ -74,7 +74,6 @@ class WorkerProcess:
 
     @property
     def computed(self) -> Computed:
-        """The present state."""
         with self._lock:
             now = self._computed
             return replace(now, seconds=time.monotonic() - self._started_s) if now.running else now

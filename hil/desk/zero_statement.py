@@ -28,7 +28,6 @@ class ZeroStatement:
             raise InputError("--new-zero does not go with --resume: the rows so far were measured in the old zero")
 
     def in_plan(self, plan: Plan) -> Plan:
-        """The plan with this statement."""
         return replace(plan, new_zero=self.anew, instrument_zeroed=self.instrument_zeroed)
 
     @contextmanager

@@ -57,7 +57,6 @@ class CampaignRows:
 
     @property
     def runs(self) -> int:
-        """Number of runs."""
         return int(np.max(self.run)) + 1
 
 

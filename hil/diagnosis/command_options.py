@@ -35,7 +35,6 @@ explained or within the noise; 1: structure remains that no effect of the catalo
 
 
 def add_diagnose(subparsers: Subparsers) -> None:
-    """Adds `hil diagnose`."""
     parser = verb_parser(
         subparsers,
         "diagnose",
@@ -75,7 +74,6 @@ The model is a table of the error per direction of arrival, smoothed as far as t
 
 
 def add_fit(subparsers: Subparsers) -> None:
-    """Adds `hil fit`."""
     parser = verb_parser(
         subparsers,
         "fit",
@@ -108,7 +106,6 @@ known when the row is commanded; residual_um, the error of the uncorrected machi
 
 
 def add_apply(subparsers: Subparsers) -> None:
-    """Adds `hil apply`."""
     parser = verb_parser(
         subparsers,
         "apply",
@@ -137,7 +134,6 @@ Exit status 1: check found effects that the campaign cannot show.
 
 
 def add_campaign(subparsers: Subparsers) -> None:
-    """Adds `hil campaign` with its jobs."""
     parser = verb_parser(
         subparsers,
         "campaign",
@@ -201,7 +197,6 @@ fails its limit or is undecided.
 
 
 def add_close_loop(subparsers: Subparsers) -> None:
-    """Adds `hil close-loop`."""
     parser = verb_parser(
         subparsers,
         "close-loop",

@@ -220,7 +220,6 @@ def _draw_verdict(view: View, kept: Kept) -> Refresh:
 
 
 def _draw_next(view: View, kept: Kept) -> Refresh:
-    """The next measurement."""
     t = view.t
     with view.card("diagnosis.next"):
         run = view.named(ui.label("–").classes("hil-clamp four"), "diagnosis.next_run")

@@ -94,7 +94,6 @@ class DiagnosisScreen:
     loop: StoredLoop | None
 
     def choice(self, key: str) -> Measurement | None:
-        """By its key."""
         return next((one for one in self.choices if one.key == key), None)
 
 

@@ -78,7 +78,6 @@ class Finding:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """All terms of the effect."""
         return (self.term, *self.more)
 
     @property
@@ -107,7 +106,6 @@ class Finding:
 
     @property
     def effect(self) -> str:
-        """Id of the effect."""
         return self.term.effect.id
 
     @property
@@ -173,7 +171,6 @@ class Carrier:
         return f"{named}, {self.rms} µm RMS"
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
         return {
             "columns": list(self.columns),
             "or_equivalent": {name: list(alike) for name, alike in self.equivalent.items()},
@@ -209,11 +206,9 @@ class NoiseParts:
 
     @property
     def within_run_um(self) -> float:
-        """Within a run, all together."""
         return math.hypot(self.white_um, self.memory_um)
 
     def to_json(self) -> dict[str, float]:
-        """Plain values."""
         return {
             "white_um": self.white_um,
             "memory_um": self.memory_um,

@@ -21,7 +21,6 @@ Exit status 1: a check failed.
 
 
 def add_parser(subparsers: Subparsers) -> None:
-    """Add `hil doctor`."""
     parser = verb_parser(
         subparsers,
         "doctor",

@@ -41,7 +41,6 @@ class Snapshot:
     enabled: bool
 
     def to_text(self) -> str:
-        """The text of a note."""
         return json.dumps({"enabled": self.enabled, **asdict(self.raw)}, indent=1) + "\n"
 
     @classmethod

@@ -61,12 +61,10 @@ class Proof:
 
     @property
     def worst(self) -> PositionDifference:
-        """The position with the largest difference."""
         return max(self.places, key=lambda place: abs(place.difference_um))
 
     @property
     def mean_um(self) -> float:
-        """Mean difference."""
         return float(np.mean([place.difference_um for place in self.places]))
 
     @property

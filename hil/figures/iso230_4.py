@@ -69,7 +69,6 @@ class CircularPath:
         return "ccw" if self.sense > 0 else "cw"
 
     def as_json(self) -> dict[str, object]:
-        """Plain JSON form."""
         return {
             "direction": self.name,
             "start_deg": self.start_deg,
@@ -92,7 +91,6 @@ class Iso230Part4:
     D_um: float | None
 
     def as_json(self) -> dict[str, object]:
-        """Plain JSON form."""
         return {
             "standard": STANDARD,
             "nominal_radius_mm": self.radius_mm,

@@ -30,7 +30,6 @@ Nothing is written to any device. Exit status 1: no device was found.
 
 
 def add_scan(subparsers: Subparsers) -> None:
-    """Add `hil scan`."""
     parser = verb_parser(
         subparsers,
         "scan",
@@ -123,7 +122,6 @@ Exit status 1: inspect found a pass that was changed, torn, or cannot be read.
 
 
 def add_records(subparsers: Subparsers) -> None:
-    """Adds `hil records` with its jobs."""
     parser = verb_parser(
         subparsers,
         "records",
@@ -185,7 +183,6 @@ Each file becomes an entry of its own name, encrypted with its password; the bui
 
 
 def add_seal(subparsers: Subparsers) -> None:
-    """Add `hil seal`."""
     parser = verb_parser(
         subparsers,
         "seal",
@@ -218,7 +215,6 @@ The builder's signature is checked first; nothing is decrypted from a file that 
 
 
 def add_open(subparsers: Subparsers) -> None:
-    """Add `hil open`."""
     parser = verb_parser(
         subparsers,
         "open",
@@ -248,7 +244,6 @@ A sealed file is signed anew only if its present signature is good, so that a fi
 
 
 def add_sign(subparsers: Subparsers) -> None:
-    """Add `hil sign`."""
     parser = verb_parser(
         subparsers,
         "sign",
@@ -283,7 +278,6 @@ exit code: 0 as the builder signed it, 1 not, 2 cannot be checked.
 
 
 def add_check(subparsers: Subparsers) -> None:
-    """Add `hil check`."""
     parser = verb_parser(
         subparsers,
         "check",

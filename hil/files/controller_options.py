@@ -174,7 +174,6 @@ back before it is handed out; what a controller must be set to besides is printe
 
 
 def add_export(subparsers: Subparsers) -> None:
-    """Add `hil export`."""
     parser = verb_parser(
         subparsers,
         "export",
@@ -243,7 +242,6 @@ MEASUREMENT_OPTIONS = (
 
 
 def add_import(subparsers: Subparsers) -> None:
-    """Add `hil import`."""
     parser = verb_parser(
         subparsers,
         "import",

@@ -25,7 +25,6 @@ Exit status 1: the drive does not answer as its file says; the axis file is not 
 
 
 def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
-    """Add `hil drives`."""
     text = "Ready drive files: list them, show what each fact rests on, make a first axis file."
     how: dict[str, Any] = {"epilog": EXAMPLE, "formatter_class": argparse.RawDescriptionHelpFormatter}
     parser = subparsers.add_parser("drives", description=text, **how)

@@ -27,7 +27,6 @@ class Question:
 
     @property
     def name(self) -> str:
-        """The name of its argument."""
         return self.option[2:].replace("-", "_")
 
     def parse(self, text: str) -> list[float]:

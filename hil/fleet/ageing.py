@@ -121,7 +121,6 @@ class Aged:
 
     @property
     def alarm(self) -> Alarm | None:
-        """The alarm that stands."""
         return self.watched.standing
 
     @property

@@ -185,7 +185,6 @@ def render_causes(causes: Sequence[Cause], title: str, under: str, unread: Seque
 
 
 def causes_figure(number: dict[str, int], theme: Theme, ground: Ground) -> FigureBase:
-    """Number of axes by cause."""
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 0.9 + 0.3 * len(number), left_in=1.6)
         ax = figure.subplots()

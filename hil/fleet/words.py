@@ -105,7 +105,6 @@ def _series_json(one: Aged) -> dict[str, Any]:
 
 
 def compare_head(one: Compared) -> tuple[str, ...]:
-    """The heading of a comparison."""
     return ("axis", "of", f"{QUANTITIES[one.quantity].title} ± U", "from the median, in spreads", "unlike the others")
 
 
@@ -149,7 +148,6 @@ def compare_json(one: Compared) -> dict[str, Any]:
 
 
 def causes_head() -> tuple[str, ...]:
-    """The heading of the causes."""
     return ("axis", "pass", "begun", "cause", "RMS, µm", "confidence", "action", "before, µm", "after, µm", "left")
 
 

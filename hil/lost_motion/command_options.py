@@ -43,7 +43,6 @@ SHAPES = {name.replace(" ", "-"): name for name in RISE_SHAPES}
 
 
 def add_lost_motion(subparsers: Subparsers) -> None:
-    """Adds `hil lost-motion`."""
     parser = verb_parser(
         subparsers,
         "lost-motion",
@@ -100,7 +99,6 @@ Exit status 1: with the correction in force the bumps fell neither to half nor t
 
 
 def add_circle(subparsers: Subparsers) -> None:
-    """Adds `hil circle`."""
     parser = verb_parser(
         subparsers,
         "circle",

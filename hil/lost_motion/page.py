@@ -34,7 +34,6 @@ Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:
-    """Draws the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("lost_motion.no_instrument")).classes("hil-note"), "lost_motion.no_instrument")
@@ -163,7 +162,6 @@ def _draw_proof(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
 
 
 def _draw_steps(view: View) -> Refresh:
-    """The steps of the measurement."""
     steps = Steps(view, "lost_motion", ("strokes", "fit", "before", "after"))
     return lambda: steps.follow(lost_motion_screen(view.desk).measurement)
 

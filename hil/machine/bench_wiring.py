@@ -68,7 +68,6 @@ class RunningBench:
         return modbus_drives({axis.drive.unit: (axis, bench) for axis, bench in pairs}, clock, stack)
 
     def machine(self, axis: AxisConfig, bench: Bench, drive: ServoDrive) -> Machine:
-        """A drive of this machine with its instrument."""
         instrument = build_instrument(axis.instrument, bench.laser_path, bench.clock)
         conditions = BenchConditions(bench.plant, axis.conditions.levels)
         return Machine(axis, session_of(axis, drive, instrument, conditions), bench)

@@ -44,7 +44,6 @@ class NoConditions:
 
     @property
     def levels(self) -> Mapping[str, Sequence[float]]:
-        """Empty."""
         return {}
 
     def set(self, name: str, value: float) -> None:
@@ -52,7 +51,6 @@ class NoConditions:
         raise CapabilityError(f"condition {name} cannot be set to {value:g} here")
 
     def read(self) -> Mapping[str, float]:
-        """Empty."""
         return {}
 
 

@@ -71,7 +71,6 @@ class CrossAxis:
 
     @property
     def drive(self) -> ServoDrive:
-        """Its drive."""
         return self.axis.drive
 
     def __enter__(self) -> Self:

@@ -27,7 +27,6 @@ class Machine:
 
     @property
     def clock(self) -> Clock:
-        """The session's clock."""
         return self.session.clock
 
 

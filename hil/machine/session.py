@@ -98,7 +98,6 @@ class AxisSession:
 
     @property
     def drive(self) -> ServoDrive:
-        """The watched drive."""
         return self.axis.drive
 
     @property

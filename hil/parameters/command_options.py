@@ -63,7 +63,6 @@ def _add_job(
 
 
 def add_parser(subparsers: Subparsers) -> None:
-    """Add `hil params`."""
     parser = verb_parser(
         subparsers, "params", "Whole sets of drive parameters, written all or nothing and read back.", EXAMPLE
     )

@@ -127,5 +127,4 @@ def _of_report(report: JobReport) -> Outcome:
 
 
 def _objections(objections: list[Objection] | tuple[Objection, ...]) -> tuple[ParameterRow, ...]:
-    """Objections to single parameters, as rows."""
     return tuple(ParameterRow(one.address, one.name, "", "", "", "", one.why) for one in objections if one.address)

@@ -45,7 +45,6 @@ class Wanted:
 
     @property
     def address(self) -> str:
-        """Address of the parameter."""
         return self.parameter.address
 
 

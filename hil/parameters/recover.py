@@ -98,12 +98,10 @@ def _stores(noted: Download, forward: bool, written: bool) -> bool:
 
 
 def set_before(noted: Download) -> ParameterSet:
-    """The old values of a download, as a set."""
     return _side(noted, f"before {noted.set_name}", before=True)
 
 
 def set_after(noted: Download) -> ParameterSet:
-    """The new values of a download, as a set."""
     return _side(noted, noted.set_name, before=False)
 
 

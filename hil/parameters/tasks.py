@@ -177,7 +177,6 @@ def _count(work: DriveTask, name: str, total: int, progress: Progress) -> None:
 
 
 def reports_of(works: Sequence[DriveTask]) -> list[JobReport]:
-    """The report of each task."""
     failed = [work.drive.name for work in works if work.error or work.objections]
     return [_report(work, [name for name in failed if name != work.drive.name]) for work in works]
 

@@ -31,7 +31,6 @@ def print_measured(
     path: Path,
     bench: ProbeBench | None,
 ) -> None:
-    """Prints the contacts, the run-out and the verdict."""
     rows = [
         [
             str(number),
@@ -61,7 +60,6 @@ def _moment(when: str) -> str:
 
 
 def run_out_text(found: RunOut) -> str:
-    """The run-out in one line."""
     return f"Δx {1000 * found.x_mm:+.2f} µm, Δy {1000 * found.y_mm:+.2f} µm, tip radius {found.tip_radius_mm:.4f} mm"
 
 
@@ -251,7 +249,6 @@ def run_codes(args: argparse.Namespace) -> int:
 
 
 def print_codes(config: ProbeMachineConfig) -> None:
-    """Prints the meaning of each code, and the wires."""
     codes = config.codes
     x, y, both = (codes.name(code) for code in CorrectionCode)
     strobe = "the code's line itself" if codes.strobe_bit is None else f"input {codes.strobe_bit}"

@@ -47,7 +47,6 @@ class SpindleConfig:
         return self.zero_deg + self.sense * angle_deg
 
     def angle_deg(self, position_deg: float) -> float:
-        """The spindle angle at a position of the drive."""
         return self.sense * (position_deg - self.zero_deg)
 
 

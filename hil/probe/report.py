@@ -212,7 +212,6 @@ def run_out_report(
     refusal: str | None,
     history: Sequence[Mapping[str, str]],
 ) -> str:
-    """Report of one measurement and its history as HTML."""
     return render_probe(
         ProbeReport(
             f"Touch probe of {config.name}",

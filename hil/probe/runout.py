@@ -34,12 +34,10 @@ class CorrectionCode(Enum):
 
     @property
     def in_x(self) -> bool:
-        """The correction moves X."""
         return self is not CorrectionCode.M92
 
     @property
     def in_y(self) -> bool:
-        """The correction moves Y."""
         return self is not CorrectionCode.M91
 
 
@@ -242,7 +240,6 @@ class Ball:
         return Ball((0.0, 0.0), self.reach_mm)
 
     def centre_mm(self, touch: Touch) -> Point:
-        """Its centre at a contact."""
         return touch.at_mm[0] + self.offset_mm[0], touch.at_mm[1] + self.offset_mm[1]
 
     def face_mm(self, touch: Touch) -> float:

@@ -67,7 +67,6 @@ class RunOutStore:
 
     @property
     def history_path(self) -> Path:
-        """File of the history."""
         return self.directory / "history.csv"
 
     @property

@@ -48,7 +48,6 @@ class MadeWith:
             return cls(units)
 
     def to_json(self) -> dict[str, Any]:
-        """As plain values."""
         return asdict(self)
 
     @classmethod

@@ -22,7 +22,6 @@ The file stands alone: it can be mailed, archived, printed, and signed with `hil
 
 
 def add_parser(subparsers: Subparsers) -> None:
-    """Add `hil report`."""
     parser = verb_parser(
         subparsers,
         "report",
@@ -96,7 +95,6 @@ def add_parser(subparsers: Subparsers) -> None:
 
 
 def _add_certificate_options(parser: argparse.ArgumentParser) -> None:
-    """Options for certificates."""
     group = parser.add_argument_group(
         "certificates (with --axis-file, whose [certificate] names machine, drive, instrument, parties)"
     )

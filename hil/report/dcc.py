@@ -61,7 +61,6 @@ def _add(parent: ET.Element, name: str, text: str | None = None, **attributes: s
 
 
 def _named(parent: ET.Element, name: str, text: str) -> ET.Element:
-    """An element with a text in English."""
     child = _add(parent, name)
     _add(child, "content", text, lang="en")
     return child

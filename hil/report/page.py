@@ -28,7 +28,6 @@ COLUMNS = ("begun", "what", "rows", *HISTORY_FIGURES, "state")
 
 
 def draw(view: View) -> None:
-    """Draw the page."""
     axis = view.desk.axis
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("reports.no_instrument")).classes("hil-note"), "reports.no_instrument")

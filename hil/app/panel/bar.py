@@ -79,7 +79,6 @@ def duration(t: Texts, seconds: float | None) -> str:
 
 
 def draw_bar(view: View, page: Page) -> None:
-    """Draw the bar."""
     bar = view.named(ui.element("header").classes("hil-bar"), "bar")
     with bar:
         with ui.element("nav").classes("hil-axes"):

@@ -15,7 +15,6 @@ from hil.ui.screen.view import View
 
 
 def draw_page(view: View, page: Page, pages: Sequence[Page]) -> None:
-    """Draw frame and content of a page."""
     ui.dark_mode(view.browser.dark)
     view.client.run_javascript(f"document.documentElement.lang = {json.dumps(view.t.language)}")
     ui.page_title(f"{view.desk.name} · {view.t(f'page.{page.name}')}")

@@ -97,7 +97,6 @@ class LimitBar:
         self._box.set_visibility(False)
 
     def show(self, found: Accuracy | None) -> None:
-        """Draw it."""
         there = found is not None and bool(found.limit_um) and found.A_um is not None
         self._box.set_visibility(there)
         if not there or found is None or found.limit_um is None or found.A_um is None:

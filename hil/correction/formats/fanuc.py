@@ -160,7 +160,6 @@ def export(tables: TableSet, settings: FanucSettings = FanucSettings()) -> Expor
 
 
 def dump(tables: TableSet, settings: FanucSettings = FanucSettings()) -> str:
-    """The text of `export`."""
     return export(tables, settings).text
 
 

@@ -74,7 +74,6 @@ def export(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) ->
 
 
 def dump(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) -> str:
-    """The text of `export`."""
     return export(tables, settings).text
 
 

@@ -284,7 +284,6 @@ def export(tables: TableSet, settings: SinumerikSettings = SinumerikSettings()) 
 
 
 def dump(tables: TableSet, settings: SinumerikSettings = SinumerikSettings()) -> str:
-    """The text of `export`."""
     return export(tables, settings).text
 
 

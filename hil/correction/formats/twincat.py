@@ -89,7 +89,6 @@ def export(tables: TableSet, settings: TwinCatSettings = TwinCatSettings()) -> E
 
 
 def dump(tables: TableSet, settings: TwinCatSettings = TwinCatSettings()) -> str:
-    """The text of `export`."""
     return export(tables, settings).text
 
 

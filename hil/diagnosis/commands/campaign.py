@@ -74,7 +74,6 @@ def plan_facts(points: tuple[Point, ...], minutes: float) -> dict[str, float | i
 
 
 def print_check(check: CampaignCheck) -> None:
-    """Prints the result of a check."""
     print_facts(
         {
             "rows": f"{check.rows} in {check.runs} runs, {check.repeats} of them repeats",

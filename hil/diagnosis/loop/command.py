@@ -176,7 +176,6 @@ def print_runs(turn: Turn) -> None:
 
 
 def print_findings(diagnosis: Diagnosis) -> None:
-    """Print the findings of a diagnosis, one line each."""
     for finding in diagnosis.findings:
         verdict = f"confidence {finding.confidence:.2f}, {finding.action.value}"
         print(f"found: {finding.effect} ({verdict}). {finding.explanation}")

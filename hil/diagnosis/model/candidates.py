@@ -158,7 +158,6 @@ class Catalogue:
         return effect.log_odds + form.log_odds - alike - USUAL.richer * ((not form.scan) + (effect.id in self._varying))
 
     def part(self, candidate: Candidate, log_prior: float) -> Part:
-        """A candidate as a part of the model."""
         effect, form = candidate.effect, candidate.form
         columns = effect.basis(form, candidate.theta, self.campaign.columns)
         none = columns[:, :0]

@@ -300,7 +300,6 @@ class Case:
 
 
 def _times(term: Term, share: float) -> Term:
-    """A term with coefficients of this share."""
     return replace(term, coefficients=tuple(share * value for value in term.coefficients), likely=())
 
 

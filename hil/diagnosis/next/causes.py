@@ -80,7 +80,6 @@ class Hypothesis:
 
     @property
     def id(self) -> str:
-        """Id of the effect."""
         return self.effect.id
 
 

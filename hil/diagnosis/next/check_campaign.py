@@ -67,7 +67,6 @@ class CampaignCheck:
     visible: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
         gaps = [{"kind": g.kind, "effects": list(g.effects), "what": g.what, "figure": g.figure} for g in self.gaps]
         return {
             "rows": self.rows,

@@ -45,7 +45,6 @@ class Panel:
 
 
 def panels_plot(panels: Sequence[Panel], theme: Theme, ground: Ground = fresh) -> FigureBase:
-    """All panels on one scale."""
     down = -(-len(panels) // ACROSS)
     with mpl.rc_context(RC):
         figure = figure_on(ground, WIDTH_IN, ROW_IN * down, top_in=0.25)

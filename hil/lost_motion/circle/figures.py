@@ -138,7 +138,6 @@ class Trace:
 
     @property
     def bump_mean_um(self) -> float:
-        """Mean of the four bumps."""
         return float(np.mean(self.bumps_um))
 
     @property

@@ -46,7 +46,6 @@ class DrivenCircle:
 
     @property
     def traces(self) -> dict[str, Trace]:
-        """The traces by name."""
         return {name: each.trace for name, each in self.runs.items()}
 
     @property
@@ -208,7 +207,6 @@ def _csv(run: CircleRun, axes: Axes) -> bytes:
 
 # -- what came of it -------------------------------------------------------------------------------------------------------
 def report_html(driven: DrivenCircle) -> str:
-    """The report as an HTML page."""
     from hil.lost_motion.circle.report import CircleReport, render_circle  # noqa: PLC0415  (plots are slow to import)
 
     axes, circle = driven.axes, driven.circle

@@ -40,12 +40,10 @@ class Paragraph:
 
     @property
     def text(self) -> str:
-        """The text of all spans."""
         return "".join(span.text for span in self.spans)
 
 
 def said(text: str, style: str = "") -> Paragraph:
-    """A paragraph of one span."""
     return Paragraph((Span(text),), style)
 
 
@@ -122,7 +120,6 @@ class Drawing:
     caption: str = ""
 
     def figure(self, theme: Theme) -> FigureBase:
-        """The drawing as a separate figure."""
         return self.draw(theme, fresh)
 
 

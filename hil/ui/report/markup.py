@@ -104,7 +104,6 @@ def definitions(facts: Mapping[str, str]) -> str:
 
 
 def paragraph_list(items: Iterable[str], css: str = "") -> str:
-    """A list of sentences, "" for none."""
     lines = "".join(f"<li>{text(item)}</li>" for item in items)
     return f'<ul class="{text(css)}">{lines}</ul>' if lines else ""
 

@@ -226,5 +226,4 @@ def list_of(value: object) -> list[Any]:
 
 
 def objects_of(value: object) -> list[Mapping[str, Any]]:
-    """The objects in a JSON list."""
     return [one for one in list_of(value) if isinstance(one, Mapping)]

@@ -58,12 +58,10 @@ class Cookies:
         self._key = secrets.token_bytes(32)
 
     def issue(self) -> str:
-        """A new cookie."""
         number = secrets.token_urlsafe(32)
         return f"{number}.{self._code(number)}"
 
     def issued(self, cookie: str) -> bool:
-        """Whether this server issued the cookie."""
         number, dot, code = cookie.partition(".")
         return bool(dot) and hmac.compare_digest(code.encode(), self._code(number).encode())
 

@@ -75,7 +75,6 @@ class Tabs:
         return self._panels[key]
 
     def show(self, key: str) -> None:
-        """Show this job."""
         for name, panel in self._panels.items():
             panel.set_visibility(name == key)
             self._buttons[name].classes(remove="" if name == key else "here", add="here" if name == key else "")
@@ -248,7 +247,6 @@ class Reading(Generic[Found]):
         ui.timer(LOOK_S, self._look)
 
     def again(self) -> None:
-        """Read again at the next check."""
         self._of = None
 
     @property
@@ -323,7 +321,6 @@ class Table:
         self._table.selected = [] if number is None else [self._table.rows[number]]
 
     def show(self, rows: Sequence[Sequence[str]]) -> None:
-        """Show these rows."""
         self._table.rows = [
             {"row": number, **dict(zip(self._columns, row, strict=True))} for number, row in enumerate(rows)
         ]

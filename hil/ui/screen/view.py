@@ -43,7 +43,6 @@ class Button(ui.button):
             self._why.set_visibility(False)
 
     def say(self, text: str) -> None:
-        """Change its text."""
         self._label.set_text(text)
 
     def allow(self, why_not: str = "") -> None:

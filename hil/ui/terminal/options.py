@@ -26,7 +26,6 @@ class Later:
     name: str = "run"
 
     def load(self) -> None:
-        """Import the module."""
         import_module(self.module)
 
     def __call__(self, args: argparse.Namespace) -> int:
@@ -72,7 +71,6 @@ def add_zero_options(parser: argparse.ArgumentParser, *, anew: bool = False) -> 
 
 
 def add_password_options(parser: argparse.ArgumentParser, *, key: bool) -> None:
-    """Options for the passwords of the sealed store."""
     parser.add_argument(
         "--password-file", metavar="F", help=f"file with the tables' reading password (else ${READING}, else asked)"
     )
@@ -116,7 +114,6 @@ def add_key_options(parser: argparse.ArgumentParser, *, required: bool) -> None:
 
 
 def add_recording_options(parser: argparse.ArgumentParser) -> None:
-    """`--record` and `--replay`."""
     recording = parser.add_mutually_exclusive_group()
     recording.add_argument("--record", metavar="FILE.csv", help="record drive and instrument to a new file")
     recording.add_argument("--replay", metavar="FILE.csv", help="play such a recording instead of connecting anything")

@@ -58,7 +58,6 @@ def print_figures(figures: Iso230, expanded_um: Mapping[str, float] = MappingPro
 
 
 def print_paths(paths: Mapping[str, CircularPath]) -> None:
-    """Prints the figures of paths by name."""
     rows = [
         [
             name,

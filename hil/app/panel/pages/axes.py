@@ -13,7 +13,6 @@ from hil.ui.screen.view import View
 
 
 def draw(view: View) -> None:
-    """Draw the page."""
     with ui.element("div").classes("hil-grid"):
         parts = [_draw_axis(view, desk) for desk in view.desks]
 

@@ -20,7 +20,6 @@ Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:
-    """Draw the page."""
     draw_unfinished(view, "overview")
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
