@@ -46,11 +46,7 @@ def draw(view: View) -> None:
     if job is not None and job.kind == CLOSE_LOOP:
         tabs.show("loop")
 
-    def refresh() -> None:
-        for part in parts:
-            part()
-
-    view.every(refresh)
+    view.every(*parts)
 
 
 def _draw_diagnosis(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:

@@ -9,9 +9,10 @@ from typing import Any
 
 from drivers.errors import InputError
 from drivers.files import read_text, replace_file
-from hil.correction.formats import CONTROLLERS, MEASUREMENTS, manual_csv
+from hil.correction.formats import CONTROLLERS, MEASUREMENTS
 from hil.correction.formats.common import both_directions
 from hil.correction.formats.measured_csv import parse_column
+from hil.correction.manual import manual_text
 from hil.correction.tables import TableSet
 from hil.files.controller_options import (
     CONTROLLER_OPTIONS,
@@ -46,7 +47,7 @@ def _write_tables(args: argparse.Namespace, tables: TableSet) -> int:
         text = json.dumps(tables.to_dict(), indent=1) + "\n"
     else:
         with naming(args.out):
-            text = manual_csv.dump(tables, f"from {Path(args.file).name}, {args.format}")
+            text = manual_text(tables, f"from {Path(args.file).name}, {args.format}")
     replace_file(args.out, text.encode())
     table = both_directions(tables, cross_axis=True)
     facts: dict[str, Any] = {

@@ -56,13 +56,11 @@ def draw(view: View) -> None:
             view.how("lost_motion.instructions", "lost_motion.steps")
     parts += [_draw_plots(view), _draw_fits(view), draw_circle(view, axis)]
 
-    def refresh() -> None:
+    def tell() -> None:
         shown = lost_motion_screen(view.desk)
         messages.show(shown.measurement, "\n".join(map(view.t.said, shown.warnings)))
-        for part in parts:
-            part()
 
-    view.every(refresh)
+    view.every(tell, *parts)
 
 
 def _draw_buttons(view: View, axis: AxisConfig, ways: dict[str, GoOn], interrupted: Callable[[], bool]) -> Refresh:

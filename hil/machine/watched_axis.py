@@ -25,8 +25,7 @@ from drivers.errors import (
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from hil.axis.agreement import AgreementLimits
 from hil.machine.instrument_check import RATE_OVER_S, Agreement
-from hil.machine.overspeed import OVER_S, Overspeed
-from hil.machine.position_check import PositionCheck
+from hil.machine.motion_checks import OVER_S, Overspeed, PositionCheck
 from hil.machine.time_out import Motion
 
 STALE_AFTER_S = 0.5

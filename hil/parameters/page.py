@@ -65,13 +65,11 @@ def draw(view: View) -> None:
             parts.append(_draw_tables(view, stored))
             view.how("parameters.instructions", "parameters.steps")
 
-    def refresh() -> None:
+    def tell() -> None:
         shown = _shown(view, stored)
         messages.show(shown.latest, "\n".join(map(view.t.said, shown.warnings)))
-        for part in parts:
-            part()
 
-    view.every(refresh)
+    view.every(tell, *parts)
 
 
 def _shown(view: View, stored: Reading[Stored]) -> ParametersScreen:

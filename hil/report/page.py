@@ -41,11 +41,7 @@ def draw(view: View) -> None:
     with ui.element("div").classes("hil-grid wide"):
         parts += [_draw_files(view, kept), _draw_history(view, kept)]
 
-    def refresh() -> None:
-        for part in parts:
-            part()
-
-    view.every(refresh)
+    view.every(*parts)
 
 
 def _table(view: View) -> ui.table:

@@ -36,12 +36,7 @@ def draw(view: View, procedure: type[Procedure]) -> None:
             x, y = view.t("procedure.plot_x"), view.t("procedure.plot_y")
             plot = JobPlot(view, procedure.kind, x, y, name="procedure.plot", dots=True)
 
-    def refresh() -> None:
-        messages.show(view.desk.last(procedure.kind))
-        for part in (where, buttons, plot.refresh):
-            part()
-
-    view.every(refresh)
+    view.every(lambda: messages.show(view.desk.last(procedure.kind)), where, buttons, plot.refresh)
 
 
 def _draw_buttons(

@@ -52,7 +52,7 @@ HOMING_MM = 5.0
 at 1000 mm/s² (1.25 mm) and by the time that a servo needs to notice the switch."""
 REACH_MM = 1.0
 """Allowed distance above the travel, mm, which no order reaches: overshoot of a supervised axis
-(`hil.machine.position_check.OUTSIDE_MM`)."""
+(`hil.machine.motion_checks.OUTSIDE_MM`)."""
 COASTING_MM = 0.5
 """Allowed distance beyond the place to which a drive without power coasts, mm: what it moves between two looks of the judge."""
 NOTICED_MM = 1.0

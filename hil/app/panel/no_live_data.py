@@ -39,7 +39,7 @@ def draw_no_live_data(view: View) -> None:
         trouble.set_text(t.said(view.desk.live.trouble))
 
     view.every(refresh)
-    view.every(beat, BEAT_S)
+    view.every(beat, seconds=BEAT_S)
 
 
 def _heard(desk: Desk) -> dict[str, object]:

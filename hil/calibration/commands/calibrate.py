@@ -30,9 +30,7 @@ from hil.correction.tables import DirectionalTable, SingleTable, TableSet
 from hil.figures.verdict import Accuracy, At
 from hil.ui.terminal.axis_options import open_store, print_plan, tell_zero
 from hil.ui.terminal.measuring_options import limited, machine_of, recording_name
-from hil.ui.terminal.options import (
-    KEY,
-)
+from hil.ui.terminal.options import KEY
 from hil.ui.terminal.output import write_json
 from hil.ui.terminal.passwords import password
 from hil.ui.terminal.progress import terminal_progress

@@ -10,9 +10,7 @@ from nicegui import ui
 
 from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig
-from hil.calibration.job import (
-    VERIFY,
-)
+from hil.calibration.job import VERIFY
 from hil.calibration.page_data import SHOWN, STAGES, CalibrationScreen, MeasuredStage
 from hil.calibration.pages.typed_tables import TypedTables
 from hil.correction.tables import Band, SignedSections

@@ -148,8 +148,13 @@ class View:
 
         return self.named(Button(self.t(key), press), name or key)
 
-    def every(self, refresh: Callable[[], None], seconds: float = REFRESH_S) -> None:
-        """Call `refresh` every `seconds` while the page is open."""
+    def every(self, *parts: Callable[[], None], seconds: float = REFRESH_S) -> None:
+        """Call each of these every `seconds` while the page is open."""
+
+        def refresh() -> None:
+            for part in parts:
+                part()
+
         refresh()
         ui.timer(seconds, refresh)
 

@@ -16,11 +16,7 @@ def draw(view: View) -> None:
     with ui.element("div").classes("hil-grid"):
         parts = [_draw_axis(view, desk) for desk in view.desks]
 
-    def refresh() -> None:
-        for part in parts:
-            part()
-
-    view.every(refresh)
+    view.every(*parts)
 
 
 def _draw_axis(view: View, desk: Desk) -> Callable[[], None]:

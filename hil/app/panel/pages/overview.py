@@ -28,11 +28,7 @@ def draw(view: View) -> None:
         with ui.element("div").classes("hil-main"):
             parts.append(_draw_plots(view))
 
-    def refresh() -> None:
-        for part in parts:
-            part()
-
-    view.every(refresh)
+    view.every(*parts)
 
 
 def _draw_drive(view: View) -> Refresh:

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.correction.formats.manual_csv import dump
-from hil.correction.manual import read_backlash, read_manual_tables, read_signs, read_straightness
+from hil.correction.manual import manual_text, read_backlash, read_manual_tables, read_signs, read_straightness
 from hil.correction.tables import DirectionalTable, TableMode
 
 
@@ -45,7 +44,7 @@ def test_a_backlash_beside_both_directions_takes_the_place_of_their_difference(p
     assert tables.correction_um([0.0, 100.0], 1).tolist() == [2 + 5, 0 + 6]
     assert tables.correction_um([0.0, 100.0], -1).tolist() == [2 - 5, 0 - 6]
     written = path.with_name("written.csv")
-    written.write_text(dump(tables))
+    written.write_text(manual_text(tables))
     assert read_manual_tables(written) == tables
 
 

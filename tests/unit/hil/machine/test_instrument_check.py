@@ -23,7 +23,7 @@ from drivers.instruments.umd_laser import UmdLaser
 from drivers.set_points import SetPointSettings
 from hil.axis.agreement import AgreementLimits
 from hil.machine.instrument_check import Agreement
-from hil.machine.overspeed import Overspeed
+from hil.machine.motion_checks import Overspeed
 from hil.machine.session import AxisSession
 from hil.machine.time_out import Motion
 from sim_backends.bench import Bench, BenchParameters

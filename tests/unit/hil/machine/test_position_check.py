@@ -11,7 +11,7 @@ from support.toy_axis import LIMITS, ToyMachine, toy_session
 
 from drivers.errors import LimitError
 from drivers.limits import DriveLimits
-from hil.machine.position_check import AT_REST_MM, OUTSIDE_MM, PositionCheck
+from hil.machine.motion_checks import AT_REST_MM, OUTSIDE_MM, PositionCheck
 
 TRAVEL = DriveLimits(0.0, 100.0, 50.0, 500.0)
 
