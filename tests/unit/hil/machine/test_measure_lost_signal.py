@@ -246,7 +246,8 @@ def test_a_drive_that_was_switched_off_meanwhile_is_not_enabled(
 
     monkeypatch.setattr(DrivesInTurn, "add", put)
     loss = Fault(FaultKind.BEAM_LOST, at_s=11.0, duration_s=4.0)
-    with connected(axis, replace(bench_parameters(axis), laser_faults=(loss,))) as machine:
+    wanted = replace(bench_parameters(axis), laser_faults=(loss,))
+    with running_bench([axis], [wanted]) as running, connected(axis, running) as machine:
         profile, session = slaves[0].profile, machine.session
         slaves[0].dictionary.set_number(0x605A, 0, ending)
         started_ns, states = session.clock.now_ns(), list[DriveState]()
