@@ -381,7 +381,7 @@ The operator's stop is pressed at many moments of each job. The time runs from t
 switches the power off. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed.
 On Modbus the frame waits only for the request that is being answered.
 
-`python tests/study/stop_latency.py --write` measures again, and writes the worst of the jobs here.
+`python tests/study/stop_latency.py --write` measures again, and writes the worst times here.
 
 ## In simulated time
 

@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "hil/docs"
 PAGES = {path.stem: path for path in sorted(DOCS.glob("*.md"))} | {"README": ROOT / "README.md"}
 COMMISSIONING = "commissioning"
-CONTINUES = "continue in the folder of [commissioning](commissioning.md)"
+CONTINUES = "in the folder of [commissioning](commissioning.md)"
 """A page that says so takes the files of that page for granted."""
 ELISION = "…"
 PASSWORDS = {"HIL_PASSWORD": "a password for reading", "HIL_KEY_PASSWORD": "a password for the key"}

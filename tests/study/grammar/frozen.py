@@ -127,8 +127,8 @@ HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. A generator that shares no code with the
 diagnosis draws the machines, from seed 810700 on. Nobody had looked at a machine before it was judged. Two things have changed since:
-a wave along the travel that no column changes is no remainder (the seeds from 810770 on were judged with it), and effects are no
-longer ranked beside a smoother table too (of 42 other machines, six a lot, none is said otherwise).
+a wave along the travel that no other column changes is no remainder (seeds from 810770 on were judged so), and effects are
+not ranked a second time beside a smoother table (the verdicts on 42 other machines, six of each lot, stay the same).
 
 | Command | What it does |
 |---|---|
