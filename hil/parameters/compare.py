@@ -8,7 +8,7 @@ from enum import Enum
 from typing import Any
 
 from drivers.parameters import ParameterValue
-from drivers.raw_parameters import Access, DriveIdentity, RawParameters, Steps, WireTime
+from drivers.raw_parameters import DriveIdentity, RawParameters, Steps, WireTime
 from hil.parameters.preflight import (
     Objection,
     left_out,
@@ -19,7 +19,7 @@ from hil.parameters.preflight import (
     unless_held,
 )
 from hil.parameters.set_file import ParameterSet
-from hil.parameters.tasks import Progress, no_progress, run_together, serialized
+from hil.parameters.tasks import Progress, counted, no_progress, run_together, serialized
 from hil.parameters.transaction import ended_in
 
 
@@ -103,13 +103,6 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
     drive, contents = comparison.drive, comparison.contents
     wanted, objections = match_set(drive, contents)
     comparison.objections = objections
-    done = 0
-
-    def tell(accesses: Sequence[Access]) -> None:
-        nonlocal done
-        done += len(accesses)
-        progress("read", drive.name, done, len(wanted))
-
     comparison.identity = yield from drive.identify()
     comparison.objections += objections_to_identity(
         contents.identity, comparison.identity, any_version=comparison.any_version
@@ -118,7 +111,7 @@ def _compare(comparison: Comparison, progress: Progress) -> Steps[None]:
     omitted = left_out(drive, contents)
     comparison.notes += [omitted] if omitted else []
     comparison.notes += notes_of_file(drive)
-    accesses = yield from drive.read([each.address for each in wanted], tell)
+    accesses = yield from drive.read([each.address for each in wanted], counted(progress, "read", drive, len(wanted)))
     differing: list[tuple[str, bytes]] = []
     shown: dict[str, bytes] = {}
     for each, access in zip(wanted, accesses, strict=True):

@@ -8,10 +8,10 @@ from datetime import UTC, datetime
 
 from drivers.errors import BridgeError, TransportError
 from drivers.parameters import ParameterKind
-from drivers.raw_parameters import Access, DriveIdentity, RawParameter, RawParameters, Steps
+from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, Steps
 from hil.parameters.preflight import notes_of_file, objections_to_file
 from hil.parameters.set_file import ParameterSet, SetEntry
-from hil.parameters.tasks import Progress, no_progress, run_together, serialized
+from hil.parameters.tasks import Progress, counted, no_progress, run_together, serialized
 from hil.parameters.transaction import ended_in
 
 
@@ -44,17 +44,10 @@ def back_up(
 def _read(backup: Backup, everything: bool, progress: Progress) -> Steps[None]:
     drive = backup.drive
     wanted = [entry for entry in drive.entries.values() if everything or entry.refusal is None]
-    done = 0
-
-    def tell(accesses: Sequence[Access]) -> None:
-        nonlocal done
-        done += len(accesses)
-        progress("read", drive.name, done, len(wanted))
-
     identity = yield from drive.identify()
     backup.notes = (*(each.why for each in objections_to_file(drive, identity)), *notes_of_file(drive))
     starts = drive.restarts
-    accesses = yield from drive.read([entry.address for entry in wanted], tell)
+    accesses = yield from drive.read([entry.address for entry in wanted], counted(progress, "read", drive, len(wanted)))
     errors = [access.error for access in accesses]
     _refuse_silence(errors)
     if drive.restarts != starts:

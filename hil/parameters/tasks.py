@@ -150,7 +150,7 @@ def stage(
     """Take every task through a stage. A BridgeError becomes the task's error. total: number of accesses, for the progress."""
     progress = serialized(progress)
     for work in works:
-        _count(work, name, max(1, total(work)), progress)
+        work.tell = counted(progress, name, work.drive, max(1, total(work)))
     errors = run_together(works, lambda work: work.drive, partial(_timed, steps))
     for work, error in zip(works, errors, strict=True):
         if error is not None:
@@ -165,15 +165,16 @@ def _timed(steps: Callable[[W], Steps[None]], work: W) -> Steps[None]:
         work.seconds = (work.drive.clock.now_ns() - work.began_ns) * 1e-9
 
 
-def _count(work: DriveTask, name: str, total: int, progress: Progress) -> None:
+def counted(progress: Progress, name: str, drive: RawParameters, total: int) -> Callable[[Sequence[Access]], None]:
+    """A listener of one drive's accesses that reports how many of them are done in a stage."""
     done = 0
 
     def tell(accesses: Sequence[Access]) -> None:
         nonlocal done
         done += len(accesses)
-        progress(name, work.drive.name, min(done, total), total)
+        progress(name, drive.name, min(done, total), total)
 
-    work.tell = tell
+    return tell
 
 
 def reports_of(works: Sequence[DriveTask]) -> list[JobReport]:

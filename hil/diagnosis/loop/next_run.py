@@ -30,7 +30,7 @@ def means_of_measurement(how: MeasurementConfig) -> Means:
     )
 
 
-def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
+def means_of(session: AxisSession) -> Means:
     """The measuring abilities of a session: its targets and times, conditions, and sensors.
 
     With a person the optics can be set up anew; sensors cannot be added while the axis is connected.
@@ -44,7 +44,6 @@ def means_of(session: AxisSession, pitches_mm: tuple[float, ...] = ()) -> Means:
         by_itself=frozenset() if asked else frozenset(levels),
         sensors=frozenset(session.known()),
         mountable=SET_UP if asked else frozenset(),
-        pitches_mm=pitches_mm,
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 from hil.axis.axis_file import AxisConfig
@@ -19,7 +19,7 @@ BEFORE, AFTER = STAGE_LABELS["table, explored"], STAGE_LABELS["extended, explore
 """The pair that says what the loop reached: terminal, report and picture show it under these names."""
 
 
-def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = (), proof: Verification | None = None) -> str:
+def loop_report(axis: AxisConfig, loop: Loop, proof: Verification | None = None) -> str:
     """The whole loop as HTML, with the diagnosis and plots of its effects over the diagnosed rows. proof: made after it."""
     turn, proven = loop.turn, () if proof is None else (verified_campaign(axis, proof),)
     campaigns = loop_campaigns(loop)
@@ -29,7 +29,7 @@ def loop_report(axis: AxisConfig, loop: Loop, notes: Sequence[str] = (), proof: 
         of_axis(axis, "Closed loop on", (*campaigns, *proven), turn.extended.tables),
         opening=opening(found, before, after),
         causes=section(found, NamedCampaign("diagnosed", turn.diagnosed)),
-        notes=(*notes, *_in_motion_notes(loop.in_motion)),
+        notes=tuple(_in_motion_notes(loop.in_motion)),
     )
     return render_html(data)
 
