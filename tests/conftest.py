@@ -55,6 +55,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         default=1,
         help="faults of each kind in the campaigns, and times as many machines in a study, 1",
     )
+    parser.addoption("--fresh", action="store_true", help="diagnose machines again that an earlier run has diagnosed")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -3,7 +3,6 @@
 import json
 import os
 import signal
-from functools import partial
 
 import numpy as np
 import pytest
@@ -12,6 +11,7 @@ from study.grammar.__main__ import main
 from study.grammar.judge import CONFIDENT, Outcome, outcome
 from study.grammar.machine import SEEDS
 from study.grammar.report import right
+from support.kept_outcomes import outcomes
 
 from hil.fleet.executor import completed
 
@@ -48,12 +48,10 @@ MACHINES = {
 
 
 @pytest.fixture(scope="module")
-def judged() -> dict[str, list[Outcome]]:
+def judged(pytestconfig: pytest.Config) -> dict[str, list[Outcome]]:
     """The outcomes of each lot."""
-    return {
-        lot: [found for _, found in completed(partial(outcome, lot), SEEDS["tuning"][:machines], processes=2)]
-        for lot, machines in MACHINES.items()
-    }
+    cache = pytestconfig.cache.mkdir("outcomes")
+    return outcomes(cache, MACHINES, fresh=pytestconfig.getoption("--fresh"))
 
 
 @pytest.mark.outside
@@ -74,6 +72,29 @@ def test_a_few_machines_of_each_lot_are_right(judged: dict[str, list[Outcome]], 
         assert np.median(over_true) < (1.06 if lot == "pairs" else 1.05)  # of four pairs 1.056
         inside = [is_inside for one in outcomes for is_inside in one["parameters"].values()]
         assert np.mean(inside) >= 0.75
+
+
+@pytest.mark.outside
+@pytest.mark.parametrize("lot", MACHINES)
+def test_before_after_and_recommended_are_those_of_the_model_in_the_file(
+    judged: dict[str, list[Outcome]], lot: str
+) -> None:
+    """On rows that were fitted the file leaves no more than `after` says of rows that were not; each cause that is to be compensated
+    is in the file and gains there, or a note says that it is not corrected.
+    """
+    for one in judged[lot]:
+        said, seed = one["said"], one["seed"]
+        in_file = set(said["in_file"])
+        assert said["fitted_um"] < 1.02 * said["after_um"], seed
+        assert said["recommended"] is (said["after_um"] < said["alone_um"]), seed
+        if in_file and all(
+            found["action"] == "compensate" for found in said["findings"]
+        ):  # a cause of the set-up is left by both
+            assert said["after_um"] < said["before_um"], seed
+        notes = " ".join(said["notes"])
+        named = {found["effect"] for found in said["findings"] if found["action"] == "compensate"}
+        assert in_file <= named or (not named and "is suspected" in notes), seed
+        assert all(f"{name} is not corrected" in notes for name in named - in_file), seed
 
 
 @pytest.mark.outside

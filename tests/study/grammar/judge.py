@@ -121,7 +121,8 @@ def _run(*words: str) -> int:
 
 
 def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
-    """The diagnosis in short, and what is left of the fresh rows by the extended model and by the table alone."""
+    """The diagnosis in short, what its file holds and leaves of the rows it was fitted to, and what is left of the fresh rows by the
+    extended model and by the table alone."""
     fit, fresh = _written(folder / "fit.csv", drawn.fit), _written(folder / "fresh.csv", drawn.fresh)
     table, extended, result = (str(folder / name) for name in ("table.json", "extended.json", "result.json"))
     _run("fit", fit if drawn.older is None else _written(folder / "older.csv", drawn.older), "--out", table)
@@ -131,10 +132,11 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
     took_s = time.perf_counter() - began_s
     told = json.loads(Path(result).read_text(encoding="utf-8"))
     left = {}
-    for name, model in (("fresh", extended), ("table", table)):
+    for name, model, rows in (("fresh", extended, fresh), ("table", table, fresh), ("fitted", extended, fit)):
         out = folder / f"{name}_out.csv"
-        _run("apply", "--model", model, fresh, "--out", str(out))
+        _run("apply", "--model", model, rows, "--out", str(out))
         left[name] = read_csv(out)["residual_um"]
+    in_file = json.loads(Path(extended).read_text(encoding="utf-8"))["terms"]
     findings = [
         {
             "effect": finding["effect"],
@@ -155,6 +157,12 @@ def _said(folder: Path, drawn: Drawn) -> dict[str, Any]:
         "notes": told.get("notes", []),
         "seconds": told["seconds"],
         "verb_seconds": took_s,
+        "before_um": told["before"]["rms_um"],
+        "after_um": told["after"]["rms_um"],
+        "recommended": told["recommended"],
+        "in_file": [term["effect"] for term in in_file],
+        "alone_um": float(np.sqrt(np.mean(drawn.fit.error_um**2))),
+        "fitted_um": float(np.sqrt(np.mean(left.pop("fitted") ** 2))),
         **left,
     }
 
