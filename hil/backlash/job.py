@@ -20,7 +20,7 @@ import numpy as np
 
 from drivers.drive import ServoDrive
 from drivers.errors import InputError, StateError
-from drivers.files import read_text, replace_file
+from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.axis.backlash import BacklashConfig, default_backlash
 from hil.axis.zero import made_with_keeper
@@ -37,7 +37,7 @@ from hil.desk.job import Job, Workplace
 from hil.desk.plan import Move, Plan, Write
 from hil.machine.events import Listener, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
-from hil.records.files import parse_json
+from hil.records.files import read_note
 from hil.records.made_with import same
 
 MEASURE, LOOK = "backlash", "backlash look"
@@ -362,11 +362,8 @@ def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:
 
 
 def _written(axis: DriveAxis) -> dict[str, Any] | None:
-    path = axis.store.directory / WRITTEN
-    if not path.exists():
-        return None
-    try:
-        form = parse_json(read_text(path))
+    def read(form: Any) -> dict[str, Any]:
         return {"before": {str(k): float(v) for k, v in form["before"].items()}, "amount": float(form["amount"])}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError("does not hold what was written to the drive, and what was there before", path=path) from error
+
+    wrong = "does not hold what was written to the drive, and what was there before"
+    return read_note(axis.store.directory / WRITTEN, read, wrong)

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
-from drivers.errors import BridgeError, InputError, SafetyError
-from drivers.files import read_text, replace_file
-from hil.records.files import parse_json
+from drivers.errors import BridgeError, SafetyError
+from drivers.files import replace_file
+from hil.records.files import read_note
 
 Tell = Callable[[str], None]
 
@@ -83,7 +83,7 @@ def read_before(settings: BacklashSettings) -> SettingsBefore:
     """Reads the present values, or those that an interrupted measurement noted. Changes nothing. Raises InputError for
     a damaged note.
     """
-    noted = _read_note(settings.note)
+    noted = _noted(settings.note)
     values = {setting.name: setting.read() for setting in settings.settings()}
     return SettingsBefore(values if noted is None else {**values, **noted}, noted is not None)
 
@@ -110,7 +110,7 @@ def neutral(settings: BacklashSettings, tell: Tell) -> Iterator[SettingsBefore]:
 
 def restore(settings: BacklashSettings) -> SettingsBefore | None:
     """Restores what an interrupted measurement left changed; None when there was none. Raises NotRestoredError."""
-    if _read_note(settings.note) is None:
+    if _noted(settings.note) is None:
         return None
     found = read_before(settings)
     failed = _put_back(settings, found, lambda _text: None)
@@ -145,13 +145,10 @@ def _put_back(settings: BacklashSettings, found: SettingsBefore, tell: Tell) -> 
     return ""
 
 
-def _read_note(path: Path) -> dict[str, float] | None:
-    if not path.exists():
-        return None
-    try:
-        values = parse_json(read_text(path))
-    except ValueError as error:
-        raise InputError("is not JSON, expected the values noted before a measurement", path=path) from error
-    if not isinstance(values, dict) or not all(isinstance(value, int | float) for value in values.values()):
-        raise InputError("holds no values noted before a measurement", path=path)
-    return {str(name): value for name, value in values.items()}
+def _noted(path: Path) -> dict[str, float] | None:
+    def read(form: Any) -> dict[str, float]:
+        if not all(isinstance(value, int | float) for value in form.values()):
+            raise ValueError("types")
+        return {str(name): value for name, value in form.items()}
+
+    return read_note(path, read, "holds no values noted before a measurement")

@@ -20,7 +20,7 @@ from drivers.drive import WITHOUT_POWER, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from drivers.files import read_text, replace_file
 from hil.machine.one_correction import switch_table
-from hil.records.files import parse_json
+from hil.records.files import parse_json, read_note
 from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 
@@ -209,28 +209,24 @@ def remembered_zero(note: Path, raw: RawTable) -> Zero | None:
     """The zero in which the drive's table was made; None where none was noted. Raises InputError for a note that cannot
     be read.
     """
-    if not note.exists():
-        return None
-    try:
-        form = parse_json(read_text(note))
+
+    def read(form: Any) -> Zero | None:
         zero = None if form["zero"] is None else Zero.from_json(form["zero"])
         return zero if form["table"] == _digest(raw) else None
-    except (ValueError, KeyError, TypeError) as error:
-        raise InputError("does not say in which zero the drive's table was made", path=note) from error
+
+    return read_note(note, read, "does not say in which zero the drive's table was made")
 
 
 def remembered_made_with(note: Path, raw: RawTable) -> MadeWith | None:
     """The drive's parameters that its table was made with; None where none were noted. Raises InputError for a note that
     cannot be read.
     """
-    if not note.exists():
-        return None
-    try:
-        form = parse_json(read_text(note))
+
+    def read(form: Any) -> MadeWith | None:
         noted = form.get("made_with") if form["table"] == _digest(raw) else None
         return None if noted is None else MadeWith.from_json(noted)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise InputError("does not say which parameters the drive's table was made with", path=note) from error
+
+    return read_note(note, read, "does not say which parameters the drive's table was made with")
 
 
 def _digest(raw: RawTable) -> str:

@@ -15,9 +15,12 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from drivers.errors import InputError, StateError
+from drivers.files import read_text
+
+T = TypeVar("T")
 
 
 @contextmanager
@@ -56,6 +59,19 @@ def _whole(digits: str) -> int:
     if len(digits) > MOST_DIGITS:
         raise ValueError("a number of too many digits")
     return int(digits)
+
+
+def read_note(path: Path, read: Callable[[Any], T], wrong: str) -> T | None:
+    """What `read` makes of the JSON value in a file; None where there is no such file.
+
+    Raises InputError, with this sentence, for a file that is not of the form that `read` expects.
+    """
+    if not path.exists():
+        return None
+    try:
+        return read(parse_json(read_text(path)))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(wrong, path=path) from error
 
 
 _LINE_END = re.compile(r"\r\n|\r|\n")

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers.drive import ServoDrive
-from drivers.errors import CapabilityError, InputError, StateError
-from drivers.files import read_text, replace_file
-from hil.records.files import parse_json
+from drivers.errors import CapabilityError, StateError
+from drivers.files import replace_file
+from hil.records.files import read_note
 
 FILE = "made_with.json"
 """In a campaign's folder: what its rows were measured with."""
@@ -77,12 +77,7 @@ def same(was: float, is_: float) -> bool:
 
 def read_made_with(path: Path) -> MadeWith | None:
     """What a file states, None where there is none. Raises InputError for one that cannot be read."""
-    if not path.exists():
-        return None
-    try:
-        return MadeWith.from_json(parse_json(read_text(path)))
-    except ValueError as error:
-        raise InputError("does not say which parameters the drive had", path=path) from error
+    return read_note(path, MadeWith.from_json, "does not say which parameters the drive had")
 
 
 def write_made_with(path: Path, made_with: MadeWith) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 from drivers.drive import DriveZero, ServoDrive
 from drivers.errors import InputError, StateError
 from drivers.files import read_text, replace_file
-from hil.records.files import parse_json
+from hil.records.files import parse_json, read_note
 
 FILE = "zero.json"
 """A campaign's copy of the zero in which its rows were measured."""
@@ -146,12 +146,7 @@ def explain_homing(method: int | None, home_position_mm: float | None) -> str:
 
 def read_zero(path: Path) -> Zero | None:
     """The zero in a file, None where there is no such file. Raises InputError for one that cannot be read."""
-    if not path.exists():
-        return None
-    try:
-        return Zero.from_json(parse_json(read_text(path)))
-    except ValueError as error:
-        raise InputError("does not say what zero the axis has", path=path) from error
+    return read_note(path, Zero.from_json, "does not say what zero the axis has")
 
 
 def write_zero(path: Path, zero: Zero) -> None:

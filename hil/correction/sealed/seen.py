@@ -11,12 +11,12 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
-from drivers.errors import InputError
-from drivers.files import read_text, replace_file
+from drivers.files import replace_file
 from hil.correction.sealed.errors import ReplacedError
 from hil.correction.sealed.sealing import SealedInfo
-from hil.records.files import parse_json
+from hil.records.files import read_note
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,8 @@ def check_seen(note: Path, info: SealedInfo) -> None:
     Raises ReplacedError for an older file, another one, or another of the same number; InputError for a note that cannot be read
     or written.
     """
-    now, last = Seen.of(info), _read(note)
+    now = Seen.of(info)
+    last = read_note(note, _read, "does not say which sealed file was used before")
     if last is not None and last.id != now.id:
         raise _replaced(
             f"is another file ({now}) than the one used before ({last}): of another machine, or sealed anew"
@@ -68,14 +69,9 @@ def _replaced(what: str) -> ReplacedError:
     return ReplacedError(f"{what}; the builder accepts it with `hil sign --accept AXIS.toml`")
 
 
-def _read(note: Path) -> Seen | None:
-    if not note.exists():
-        return None
-    try:
-        seen = Seen(**parse_json(read_text(note)))
-        texts = (seen.id, seen.date, seen.builder, seen.sha256)
-        if type(seen.counter) is not int or not all(isinstance(text, str) for text in texts):
-            raise ValueError("types")
-    except (ValueError, TypeError) as error:
-        raise InputError("does not say which sealed file was used before", path=note) from error
+def _read(form: Any) -> Seen:
+    seen = Seen(**form)
+    texts = (seen.id, seen.date, seen.builder, seen.sha256)
+    if type(seen.counter) is not int or not all(isinstance(text, str) for text in texts):
+        raise ValueError("types")
     return seen
