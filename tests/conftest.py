@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import signal
 import socket
 import time
@@ -90,16 +91,37 @@ OUTSIDE = {"guest", "browser", "linuxcnc", "vcan"}
 """Markers of what needs more than this computer computing."""
 
 
+MARKED = re.compile(rf"mark\.({'|'.join(('outside', *OUTSIDE))})\b|MARKS")
+
+
+def may_be_outside(path: Path) -> bool:
+    """Whether a file's text marks a test so. The rigs that the tests in contract/ share are marked in `support`."""
+    return "contract" in path.parts or MARKED.search(path.read_text(encoding="utf-8")) is not None
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """`-m outside` reads the files alone that have such tests: half of them, in each of four processes."""
+    unread = (
+        config.option.markexpr == "outside" and collection_path.name.startswith("test_") and collection_path.is_file()
+    )
+    return True if unread and not may_be_outside(collection_path) else None
+
+
 @pytest.hookimpl(tryfirst=True)  # before -m selects
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Benchmarks run alone or not at all; the guest starts first, it takes longest, and has what needs SocketCAN."""
     paths = {item.path for item in items}
     benchmarks = {path for path in paths if BENCH in path.parents}
+    read_outside = {path for path in paths if path in benchmarks or may_be_outside(path)}
     elsewhere = None if vcan_here() else pytest.mark.skip(reason="runs in the guest (test_vcan_guest.py)")
     for item in items:
         names = {marker.name for marker in item.iter_markers()}
         if names & OUTSIDE or item.path in benchmarks:
             item.add_marker("outside")
+        if item.get_closest_marker("outside") and item.path not in read_outside:
+            raise pytest.UsageError(
+                f"{item.nodeid} is marked `outside`, and its file does not say so: `-m outside` would not read it"
+            )
         if "vcan" in names and elsewhere is not None:
             item.add_marker(elsewhere)
     items.sort(key=lambda item: "guest" not in item.keywords)
