@@ -2,8 +2,7 @@
 
 Elements and their order are those of PTB's schema `dcc.xsd` (namespace https://ptb.de/dcc, LGPL-3) and of `SI_Format.xsd`
 (https://ptb.de/si). The result is checked here for what the schema demands and the types of `Certificate` do not ensure:
-no empty text, a unit of the D-SI, a finite number. `schema_errors` holds a file against the schema itself, where it is on
-the computer: it is neither in this package nor in one of a registry.
+no empty text, a unit of the D-SI, a finite number. Tests hold the files against the schema itself, where it is on the computer.
 
 Each figure is a quantity with two words as `refType`: `basic_measuredValue` for what was measured or `basic_parameter` for targets,
 and the figure's own, such as `hil_A`.
@@ -15,7 +14,6 @@ import math
 import re
 from collections.abc import Sequence
 from importlib.metadata import version
-from pathlib import Path
 from xml.etree import ElementTree as ET
 
 from drivers.errors import InputError
@@ -266,16 +264,3 @@ def _own(name: str) -> str:
 def _ref(name: str) -> str:
     """A name as an XML identifier."""
     return re.sub(r"[^A-Za-z0-9_]+", "_", name)
-
-
-def schema_errors(xml: bytes, schema: str | Path) -> list[str]:
-    """What PTB's schema finds wrong, one line each. schema: dcc.xsd, which finds what it imports beside it.
-
-    Raises InputError where the package xmlschema (extra dcc) is missing.
-    """
-    try:
-        import xmlschema  # noqa: PLC0415  (an extra)
-    except ImportError:
-        raise InputError("the schema needs the extra dcc: pip install 'hil[dcc]'") from None
-    judge = xmlschema.XMLSchema(str(schema), allow="local")
-    return [f"{error.path}: {error.reason}" for error in judge.iter_errors(ET.fromstring(xml))]

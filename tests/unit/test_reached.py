@@ -41,7 +41,6 @@ EXCEPTIONS = {
     "drivers.modbus.map_loader.load_register_map": "tests of the registers alone, without a drive",
     "drivers.modbus.plan.WireCost.gap_tolerance": "tests hold the plan against it",
     "drivers.toml_schema.keys_of": "tests/study/axis_reference.py writes a page with it",
-    "hil.report.dcc.schema_errors": "the extra dcc",
     "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
     "hil.__getattr__": "Python calls it",
     "hil.diagnosis.__getattr__": "Python calls it",

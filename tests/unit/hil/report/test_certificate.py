@@ -18,6 +18,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pypdfium2 as pdfium
 import pytest
+import xmlschema
 from dcclib.validation.schematron import SchematronValidator
 from dsi_unit import DsiUnit
 
@@ -363,9 +364,9 @@ def test_every_kind_keeps_ptb_s_rules_and_what_is_broken_does_not(place: Path) -
 
 @pytest.mark.skipif(not SCHEMA, reason="HIL_DCC_SCHEMA names no folder with PTB's schema")
 def test_every_kind_is_valid_against_ptb_s_schema_and_what_is_broken_is_not(place: Path) -> None:
-    schema = Path(SCHEMA) / "dcc.xsd"
+    schema = xmlschema.XMLSchema(str(Path(SCHEMA) / "dcc.xsd"), allow="local")
     for certificate in every_kind().values():
-        assert dcc.schema_errors(dcc.to_xml(certificate), schema) == []
+        schema.validate(ET.fromstring(dcc.to_xml(certificate)))
     xml = dcc.to_xml(made())
     for part in (b"uniqueIdentifier", b"beginPerformanceDate", b"customer", b"performanceLocation"):
         cut = ET.fromstring(xml)
@@ -373,8 +374,8 @@ def test_every_kind_is_valid_against_ptb_s_schema_and_what_is_broken_is_not(plac
             for child in list(parent):
                 if child.tag.endswith("}" + part.decode()):
                     parent.remove(child)
-        assert dcc.schema_errors(ET.tostring(cut), schema)
-    assert dcc.schema_errors(xml.replace(b">DE<", b">Germany<"), schema)
+        assert not schema.is_valid(cut)
+    assert not schema.is_valid(ET.fromstring(xml.replace(b">DE<", b">Germany<")))
 
 
 @pytest.mark.outside
