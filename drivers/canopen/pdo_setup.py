@@ -196,13 +196,13 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
     try:
         sdo.run(write_pdo(sdo, before, wanted, tried=tried))
     except AbortError as error:
-        last = tried[-1]
-        maps = last.index == spec.pdo.mapping and 0 < last.subindex <= len(spec.entries)
+        last = tried[-1] if tried else None
+        maps = last is not None and last.index == spec.pdo.mapping and 0 < last.subindex <= len(spec.entries)
         raise PdoRefusedError(
-            f"{spec} cannot be configured: {error}",
+            f"{spec} cannot be {'configured' if tried else 'read back'}: {error}",
             error.code,
             spec,
-            spec.entries[last.subindex - 1] if maps else None,
+            spec.entries[last.subindex - 1] if last is not None and maps else None,
             kind=last == spec.pdo.setting(KIND),
         ) from error
     after = read_image(sdo, spec.pdo)

@@ -189,9 +189,9 @@ def write_pdo(
     """Bring a node's PDO from `present` to what is meant: disable, clear, map, set, read back, enable (CiA 301, 7.5.2.36).
 
     What is so already, or not given, stays as it is. beyond: the entries behind the mapped ones are written too, as far as the node
-    lets them; tried: filled with the entries that were to be written. Raises ProtocolError for a node that has accepted a mapping and
-    shows another, its PDO still disabled; what the transfers raise; AbortError too for a node that answers a read of an entry and
-    neither of two writes.
+    lets them; tried: filled with the entries that were to be written, empty while the mapping is read back. Raises ProtocolError for a
+    node that has accepted a mapping and shows another, its PDO still disabled; what the transfers raise; AbortError too for a node
+    that answers a read of an entry and neither of two writes.
     """
     pdo, now = present.pdo, present.numbers[False, COB_ID]
     cob_id = now if meant.cob_id is None else meant.cob_id
@@ -225,6 +225,8 @@ def write_pdo(
         if wanted is not None and wanted != present.numbers.get((False, sub)):
             yield from put(pdo.setting(sub), wanted)
     if remapped:
+        if tried is not None:
+            tried.clear()
         shown = yield from read_pdo(sdo, pdo, settings=())
         if shown.mapped != meant.mapped:
             raise read_otherwise(sdo, shown, meant)

@@ -8,7 +8,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.pdo import COB_ID, EVENT, KIND, SYNC_EVERY, Pdo, PdoSpec
-from drivers.canopen.pdo_setup import PdoSetup, configure, entry_of, read_image
+from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, configure, entry_of, read_image
 from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
@@ -225,10 +225,11 @@ def test_a_pdo_that_stays_in_force_has_to_be_harmless(
     bench: CanBench, sdo: SdoClient, code: int, transmit: bool, stays: bool
 ) -> None:
     """The default RPDO 2 maps 6040h; the default TPDO 2 only adds to the load of the bus."""
-    found = _parameters(bench)
+    found, refused = _parameters(bench), []
 
-    def takes(index: int, subindex: int, _data: bytes) -> bool:
+    def takes(index: int, subindex: int, data: bytes) -> bool:
         if (index, subindex) == Pdo.numbered(2, transmit=transmit).setting(COB_ID).key:
+            refused.append(data)
             raise RefusedError(code)
         return True
 
@@ -237,6 +238,34 @@ def test_a_pdo_that_stays_in_force_has_to_be_harmless(
     with nullcontext() if stays else pytest.raises(AbortError):
         setup.apply()
         setup.restore()
+    assert _parameters(bench) == found
+    assert len(refused) == (1 if stays else 2)  # one that stayed in force is not put back
+
+
+def test_a_mapping_that_cannot_be_read_back_is_no_refusal_of_what_was_written_last(
+    bench: CanBench, sdo: SdoClient
+) -> None:
+    """The transmission type is the last write, and there is another type that could be tried."""
+    found = _parameters(bench)
+    dictionary, refusals = bench.slave.dictionary, [WRONG_STATE]
+    usual, written = dictionary.read, list[tuple[int, int]]()
+
+    def takes(index: int, subindex: int, _data: bytes) -> bool:
+        written.append((index, subindex))
+        return True
+
+    def read(index: int, subindex: int) -> bytes:
+        if (index, subindex) == (0x1A00, 2) and written[-1:] == [FEEDBACK.pdo.setting(KIND).key] and refusals:
+            raise RefusedError(refusals.pop())
+        return usual(index, subindex)
+
+    _intercept(bench, takes)
+    dictionary.read = read  # type: ignore[method-assign]
+    with pytest.raises(
+        PdoRefusedError, match=r"TPDO 1 \(185h\) cannot be read back: drive X: 1A00h:02 refused"
+    ) as caught:
+        PdoSetup(sdo, NODE, (FEEDBACK,)).apply(refuse=False)
+    assert (caught.value.entry, caught.value.kind) == (None, False)
     assert _parameters(bench) == found
 
 
