@@ -191,7 +191,6 @@ class RegisterMap:
     single_writes: bool = True
     max_read: int = MAX_READ_REGISTERS
     max_write: int = MAX_WRITE_REGISTERS
-    response_s: float = 0.003
     one_value_per_request: bool = False
     prove_writes: bool = False
     origin: Origin = UNSTATED
@@ -300,7 +299,6 @@ class _Head:
     single_writes: bool = True
     max_read_registers: Annotated[int, Limits(ge=4, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
     max_write_registers: Annotated[int, Limits(ge=4, le=MAX_WRITE_REGISTERS)] = MAX_WRITE_REGISTERS
-    response_time_s: Finite = 0.003
     table: Table | None = None
     address_rules: tuple[AddressRule, ...] = ()
     one_value_per_request: bool = False
@@ -362,7 +360,6 @@ def parse_registers(document: Document) -> RegisterMap:
         single_writes=head.single_writes,
         max_read=head.max_read_registers,
         max_write=head.max_write_registers,
-        response_s=head.response_time_s,
         one_value_per_request=head.one_value_per_request,
         prove_writes=head.prove_writes,
         origin=head.origin,
