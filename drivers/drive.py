@@ -29,7 +29,7 @@ from drivers.errors import (
 from drivers.limits import DriveLimits
 from drivers.parameters import DriveParameters
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
-from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
+from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.touch_probe import TouchProbe
 from drivers.way_out import WayOut
 
@@ -362,27 +362,19 @@ class ServoDrive(ABC):
     @abstractmethod
     def _start_move(self, position_load_mm: float, velocity_mm_s: float) -> None: ...
 
-    def stream(self, settings: SetPointSettings) -> SetPointStream:
-        """Set-points at a fixed period: a context manager around the enabled axis. Raises CapabilityError.
+    def stream(self, settings: SetPointSettings, others: Sequence[ServoDrive] = ()) -> SetPointStream:
+        """Set-points at a fixed period, for this drive and for others of its kind that move together with it: a context manager around
+        the enabled axes. Raises CapabilityError, also for drives that no common clock can pace.
 
-        InputError, on entering it, for a period that the drive or its wire cannot keep.
+        InputError, on entering it, for a period that a drive or its wire cannot keep.
         """
-        self.require(Capability.STREAMING)
-        return self._stream(settings)
-
-    def _stream(self, settings: SetPointSettings) -> SetPointStream:
-        raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value}")
-
-    def stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> SetPointGroup:
-        """Set-points for this drive and others of its kind in the same periods: axes that move together. Raises CapabilityError, also
-        for drives that no common clock can pace."""
         for drive in (self, *others):
             drive.require(Capability.STREAMING)
-        return self._stream_with(others, settings)
+        return self._stream(settings, others)
 
-    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> SetPointGroup:
-        del others, settings
-        raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value} of several axes")
+    def _stream(self, settings: SetPointSettings, others: Sequence[ServoDrive]) -> SetPointStream:
+        del settings, others
+        raise CapabilityError(f"drive {self.name} cannot do: {Capability.STREAMING.value}")
 
     def _require_enabled(self, verb: str) -> DriveSample:
         sample = self.sample()

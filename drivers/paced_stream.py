@@ -1,7 +1,7 @@
 """PacedStream: a stream of set-points that the host paces by its clock, for wires without a SYNC.
 
-Holds the supervision that such a wire needs: missed cycles, steps that are too long, state, following error. A backend
-implements how a set-point reaches the drive.
+Holds the supervision that such a wire needs: missed cycles, steps that are too long, state, following error. A drive that it may be
+used with says how a set-point reaches it (`HostPacedDrive`).
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
+from functools import partial
 from types import TracebackType
 from typing import Self
 
@@ -23,116 +24,127 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
-from drivers.set_points import SetPointGroup, SetPointSettings, SetPointStream
+from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.shutdown import stop_together
 from drivers.undo import undo_all
 
 
+class HostPacedDrive(ServoDrive):
+    """A drive that follows set-points as they come."""
+
+    @abstractmethod
+    def begin_stream(self, settings: SetPointSettings) -> DriveSample:
+        """Bring the enabled drive into its streaming mode without moving it; its sample. Raises StateError unless enabled, InputError
+        for a period that it cannot keep."""
+
+    @abstractmethod
+    def send_set_point(self, position_load_mm: float) -> None: ...
+
+    @abstractmethod
+    def end_stream(self) -> None:
+        """Hold the axis where it is, and return to the mode for profile moves."""
+
+    def _stream(self, settings: SetPointSettings, others: Sequence[ServoDrive]) -> PacedStream:
+        paced = [drive for drive in others if isinstance(drive, HostPacedDrive)]
+        for drive in others:
+            if drive not in paced:
+                raise CapabilityError(f"drive {drive.name} cannot stream together with {self.name}")
+        return PacedStream([self, *paced], settings)
+
+
 class PacedStream(SetPointStream):
-    """A stream paced by the host's clock; a backend implements `_begin`, `_send` and `_end`."""
+    """All set-points of a cycle are checked before the first is sent."""
 
-    def __init__(self, drive: ServoDrive, settings: SetPointSettings) -> None:
-        self.drive = drive
+    def __init__(self, drives: Sequence[HostPacedDrive], settings: SetPointSettings) -> None:
         self.settings = settings
-        self._missed = 0
-        self._missed_in_a_row = 0
+        self.missed_cycles = 0
+        self.reached_ns = 0  # time of the next set-points too
+        self.found = [(0, math.nan)] * len(drives)
+        self._drives = tuple(drives)
         self._period_ns = round(settings.period_s * NS_PER_S)
-        self._due_ns = 0  # time of the next set-point
-        self._found = 0, math.nan
+        self._missed_in_a_row = 0
         self._begun = False
-        self._last_mm = self._before_mm = 0.0
-        self.running = False
-        """Entered, and neither left nor stopped."""
+        self._running = False  # entered, and neither left nor stopped
+        self._last_mm: list[float] = []
 
-    @property
-    def reached_ns(self) -> int:
-        return self._due_ns
-
-    @property
-    def found(self) -> tuple[int, float]:
-        return self._found
-
-    @property
-    def missed_cycles(self) -> int:
-        return self._missed
-
+    # -- entering and leaving --------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
-        self._last_mm = self._begin().position_load_mm
-        self._begun, self.running = False, True
+        begun: list[HostPacedDrive] = []
+        self._last_mm = []
+        try:
+            for drive in self._drives:
+                self._last_mm.append(drive.begin_stream(self.settings).position_load_mm)
+                begun.append(drive)
+        except BaseException as error:
+            stop_together(begun, error)
+            raise
+        self._begun, self._running = False, True
         return self
 
     def __exit__(
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None:
         if exc is not None:
-            stop_all([self], exc)
-        else:
-            self.end()
+            self._stop(exc)
+        elif self._running:
+            self._running = False
+            undo_all([("", partial(_leave, drive)) for drive in self._drives])
 
-    def end(self) -> None:
-        """Leave without an error. A stopped axis stays stopped; one that cannot be put back is stopped."""
-        running, self.running = self.running, False
-        if not running:
-            return
+    def _stop(self, error: BaseException) -> None:
+        running, self._running = self._running, False
+        if running:
+            stop_together(self._drives, error)
+
+    # -- the cycle -------------------------------------------------------------------------------------------------------
+    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        if len(positions_load_mm) != len(self._drives):
+            raise InputError(f"{len(positions_load_mm)} set-points for {len(self._drives)} axes")
         try:
-            self._end()
+            if not self._running:
+                raise StateError("the stream is not running")
+            for drive, place_mm, last_mm in zip(self._drives, positions_load_mm, self._last_mm, strict=True):
+                self._check(drive, place_mm, last_mm)
+            self._account_for_lateness()
+            for drive, place_mm in zip(self._drives, positions_load_mm, strict=True):
+                drive.send_set_point(place_mm)
+            before_mm, self._last_mm = self._last_mm, list(positions_load_mm)
+            for index, drive in enumerate(self._drives):
+                sample = drive.sample()
+                self.found[index] = sample.time_ns, sample.position_load_mm
+                self._judge(drive, sample, before_mm[index], positions_load_mm[index])
+            self._drives[0].clock.sleep_until_ns(self.reached_ns)
         except BaseException as error:
-            self.running = True
-            stop_all([self], error)
+            self._stop(error)
             raise
+        return [place_mm for _, place_mm in self.found]
 
-    def cycle(self, position_load_mm: float) -> float:
-        try:
-            self.check(position_load_mm)
-            self.give(position_load_mm)
-            return self.settle()
-        except BaseException as error:
-            stop_all([self], error)
-            raise
-
-    def give(self, position_load_mm: float) -> None:
-        """First half of a cycle: send a set-point (load mm) that `check` has accepted. Raises as `SetPointStream.cycle`."""
-        self._account_for_lateness()
-        self._send(position_load_mm)
-        self._before_mm, self._last_mm = self._last_mm, position_load_mm
-
-    def settle(self) -> float:
-        """Second half of a cycle: check the following error, wait until the set-point's time; the axis's position, load mm."""
-        sample = self.drive.sample()
-        self._found = sample.time_ns, sample.position_load_mm
-        self._judge(sample, self._before_mm, self._last_mm)
-        self.drive.clock.sleep_until_ns(self._due_ns)
-        return sample.position_load_mm
-
-    def check(self, position_load_mm: float) -> None:
-        """Raise StateError unless the stream runs, LimitError for a position outside the travel (mm) or a step that is too long."""
-        if not self.running:
-            raise StateError("the stream is not running")
-        limits, period_s = self.drive.limits, self.settings.period_s
+    def _check(self, drive: ServoDrive, position_load_mm: float, last_mm: float) -> None:
+        """Raise LimitError for a position outside the travel (mm), or a step that is too long."""
+        limits, period_s = drive.limits, self.settings.period_s
         limits.check_target(position_load_mm)
-        step_mm = abs(position_load_mm - self._last_mm)
-        if step_mm > limits.max_velocity_mm_s * period_s + self.drive.scaling.resolution_load_mm:
+        step_mm = abs(position_load_mm - last_mm)
+        if step_mm > limits.max_velocity_mm_s * period_s + drive.scaling.resolution_load_mm:
             raise LimitError(
-                f"drive {self.drive.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / period_s:g} mm/s,"
+                f"drive {drive.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / period_s:g} mm/s,"
                 f" allowed are {limits.max_velocity_mm_s:g} mm/s"
             )
 
     def _account_for_lateness(self) -> None:
-        """Advance the time of the next set-point; whole periods that lie behind count as missed cycles."""
-        now_ns = self.drive.clock.now_ns()
+        """Advance the time of the next set-points; whole periods that lie behind count as missed cycles."""
+        now_ns = self._drives[0].clock.now_ns()
         if not self._begun:
-            self._begun, self._due_ns = True, now_ns  # the first set-point is the zero of time
-        missed = max(0, now_ns - self._due_ns) // self._period_ns
-        self._due_ns += (missed + 1) * self._period_ns
-        self._missed += missed
+            self._begun, self.reached_ns = True, now_ns  # the first set-points are the zero of time
+        missed = max(0, now_ns - self.reached_ns) // self._period_ns
+        self.reached_ns += (missed + 1) * self._period_ns
+        self.missed_cycles += missed
         self._missed_in_a_row = self._missed_in_a_row + missed if missed else 0
         if self._missed_in_a_row > self.settings.missed_limit:
             raise SafetyError(
                 f"stream: {self._missed_in_a_row} cycles of {1e3 * self.settings.period_s:g} ms missed in a row, the host is late"
             )
 
-    def _judge(self, sample: DriveSample, before_mm: float, now_mm: float) -> None:
-        state, name = sample.state, self.drive.name
+    def _judge(self, drive: ServoDrive, sample: DriveSample, before_mm: float, now_mm: float) -> None:
+        state, name = sample.state, drive.name
         if state in FAULTS:
             raise DriveFaultError(f"drive {name} went into {state.value} while streaming", sample.fault_code)
         if state is not DriveState.ENABLED:
@@ -144,78 +156,11 @@ class PacedStream(SetPointStream):
                 f"drive {name}: {off_mm:.3f} mm from its set-point, allowed are {self.settings.following_error_mm:g} mm"
             )
 
-    @abstractmethod
-    def _begin(self) -> DriveSample:
-        """Bring the enabled drive into its streaming mode without moving it; its sample. Raises StateError unless enabled."""
 
-    @abstractmethod
-    def _send(self, position_load_mm: float) -> None: ...
-
-    @abstractmethod
-    def _end(self) -> None:
-        """Hold the axis where it is, and return to the mode for profile moves."""
-
-
-def stop_all(streams: Sequence[PacedStream], error: BaseException) -> None:
-    """Stop the axes whose streams run, see `stop_together`."""
-    running = [stream for stream in streams if stream.running]
-    for stream in running:
-        stream.running = False
-    stop_together([stream.drive for stream in running], error)
-
-
-class PacedGroup(SetPointGroup):
-    """Several axes paced by the host's clock: all set-points of a cycle are checked before the first is sent."""
-
-    def __init__(self, drives: Sequence[ServoDrive], settings: SetPointSettings) -> None:
-        """Raises CapabilityError for a drive that is not paced by the host's clock."""
-        self._streams: list[PacedStream] = []
-        for drive in drives:
-            stream = drive.stream(settings)
-            if not isinstance(stream, PacedStream):
-                raise CapabilityError(f"drive {drive.name} cannot stream together with {drives[0].name}")
-            self._streams.append(stream)
-
-    @property
-    def missed_cycles(self) -> int:
-        return max(stream.missed_cycles for stream in self._streams)
-
-    @property
-    def reached_ns(self) -> int:
-        return self._streams[0].reached_ns
-
-    @property
-    def found(self) -> list[tuple[int, float]]:
-        return [stream.found for stream in self._streams]
-
-    def __enter__(self) -> Self:
-        try:
-            for stream in self._streams:
-                stream.__enter__()
-        except BaseException as error:
-            stop_all(self._streams, error)
-            raise
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if exc is not None:
-            stop_all(self._streams, exc)
-        else:
-            undo_all([("", stream.end) for stream in self._streams])
-
-    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
-        """As `SetPointGroup.cycle`, load mm; raises InputError for another number of set-points."""
-        if len(positions_load_mm) != len(self._streams):
-            raise InputError(f"{len(positions_load_mm)} set-points for {len(self._streams)} axes")
-        pairs = list(zip(self._streams, positions_load_mm, strict=True))
-        try:
-            for stream, position in pairs:
-                stream.check(position)
-            for stream, position in pairs:
-                stream.give(position)
-            return [stream.settle() for stream in self._streams]
-        except BaseException as error:
-            stop_all(self._streams, error)
-            raise
+def _leave(drive: HostPacedDrive) -> None:
+    """A drive that cannot be put back is stopped."""
+    try:
+        drive.end_stream()
+    except BaseException as error:
+        stop_together([drive], error)
+        raise

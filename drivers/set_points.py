@@ -1,6 +1,6 @@
-"""SetPointStream: set-points to one axis, one per period, whatever wire it is on; SetPointGroup: to several in the same periods.
+"""SetPointStream: set-points to one axis, or to several that move together, one each per period, whatever wire they are on.
 
-`drivers.paced_stream` builds them for wires without a SYNC; on CANopen `drivers.canopen.stream` paces several axes at once.
+`drivers.paced_stream` paces them by the host's clock, for wires without a SYNC; on CANopen `drivers.canopen.stream` does by SYNC.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from drivers.errors import InputError, StateError
+from drivers.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,17 @@ class SetPointSettings:
             raise InputError(f"stream period is {self.period_s} s, expected > 0")
 
 
-class SetPoints(ABC):
-    """A context manager around enabled axes, one or several. Leaving it holds them, enabled; an error quick-stops them all."""
+class SetPointStream(ABC):
+    """A context manager around enabled axes. Leaving it holds them, enabled; an error quick-stops them all.
+
+    missed_cycles: number of periods without new set-points. reached_ns: the clock's time at which the last set-points are to be
+    reached: one period after they came into force. found: (clock's time in ns, load mm) of each axis in the last `cycle`, as exactly
+    as the wire can tell.
+    """
+
+    missed_cycles: int
+    reached_ns: int
+    found: list[tuple[int, float]]
 
     @abstractmethod
     def __enter__(self) -> Self: ...
@@ -42,80 +51,10 @@ class SetPoints(ABC):
         self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
     ) -> None: ...
 
-    @property
-    @abstractmethod
-    def missed_cycles(self) -> int:
-        """Number of periods without a new set-point for an axis."""
-
-
-class SetPointStream(SetPoints):
-    """Set-points to one axis."""
-
-    @abstractmethod
-    def cycle(self, position_load_mm: float) -> float:
-        """Give one set-point, load mm, and wait until its time; the axis's position (load mm) in this cycle, see `found`.
-
-        Raises LimitError before anything is sent, SafetyError (cycles missed), FollowingErrorError, DriveFaultError, StateError,
-        TransportError - each with the axis quick-stopped.
-        """
-
-    @property
-    @abstractmethod
-    def reached_ns(self) -> int:
-        """The clock's time at which the last set-point is to be reached: one period after it came into force."""
-
-    @property
-    @abstractmethod
-    def found(self) -> tuple[int, float]:
-        """(clock's time in ns, load mm) of the axis in the last `cycle`, as exactly as the wire can tell."""
-
-
-class SetPointGroup(SetPoints):
-    """Set-points to several axes that move together."""
-
     @abstractmethod
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
         """Give every axis its set-point (load mm, one per axis), wait until their time; the axes' positions (load mm) in this cycle.
 
-        Raises as `SetPointStream.cycle`, with all axes quick-stopped.
+        Raises LimitError before anything is sent, SafetyError (cycles missed), FollowingErrorError, DriveFaultError, StateError,
+        TransportError - each with all axes quick-stopped; InputError for another number of set-points.
         """
-
-    @property
-    @abstractmethod
-    def reached_ns(self) -> int:
-        """As `SetPointStream.reached_ns`, of the first axis."""
-
-    @property
-    @abstractmethod
-    def found(self) -> list[tuple[int, float]]:
-        """As `SetPointStream.found`, of each axis."""
-
-
-class FirstOfGroup(SetPointStream):
-    """A running group as the stream of its first axis, for readers of that axis. The group's owner gives the set-points."""
-
-    def __init__(self, group: SetPointGroup) -> None:
-        self._group = group
-
-    def __enter__(self) -> Self:
-        raise StateError("a group of axes is entered by its owner")
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        """Nothing: the group's owner leaves it."""
-
-    def cycle(self, position_load_mm: float) -> float:
-        raise StateError(f"set-point of {position_load_mm:g} mm to one axis of a group, expected one for each")
-
-    @property
-    def missed_cycles(self) -> int:
-        return self._group.missed_cycles
-
-    @property
-    def reached_ns(self) -> int:
-        return self._group.reached_ns
-
-    @property
-    def found(self) -> tuple[int, float]:
-        return self._group.found[0]

@@ -6,13 +6,12 @@ For tests of procedures and for demonstrations without a wire. It implements the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from fractions import Fraction
 from typing import Final
 
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero
 from drivers.errors import (
     CapabilityError,
     DriveFaultError,
@@ -23,7 +22,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.limits import DriveLimits
-from drivers.paced_stream import PacedGroup
+from drivers.paced_stream import HostPacedDrive
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from drivers.touch_probe import TouchProbe
@@ -36,7 +35,6 @@ from sim_backends.virtual_faces import (
     VirtualCorrectionTable,
     VirtualDriveSettings,
     VirtualParameters,
-    VirtualStream,
     VirtualTouchProbe,
 )
 
@@ -47,7 +45,7 @@ _IDLE_STEP_NS = 60_000_000_000  # longest step of the probe's inputs, as of the 
 _CAPABILITIES = frozenset(Capability) - {Capability.STORE}
 
 
-class VirtualDrive(ServoDrive):
+class VirtualDrive(HostPacedDrive):
     """A drive without a wire. Simulated time must be running (`SimClock` with the servo attached). Raises CapabilityError."""
 
     def __init__(
@@ -199,11 +197,19 @@ class VirtualDrive(ServoDrive):
             self.send_stop()  # ends a motion in progress
             raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
 
-    def _stream(self, settings: SetPointSettings) -> VirtualStream:
-        return VirtualStream(self, self._servo, settings)
+    def begin_stream(self, settings: SetPointSettings) -> DriveSample:
+        del settings
+        sample = self.sample()
+        if sample.state is not DriveState.ENABLED:
+            raise StateError(f"drive {self.name} cannot stream: it is {sample.state.value}")
+        self._servo.cyclic_position(self._servo.position_demand_counts)
+        return sample
 
-    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> PacedGroup:
-        return PacedGroup([self, *others], settings)
+    def send_set_point(self, position_load_mm: float) -> None:
+        self._servo.cyclic_position(self.scaling.motor_counts(position_load_mm))
+
+    def end_stream(self) -> None:
+        """The servo holds its last set-point by itself."""
 
     # -- touch probe, parameters, table ----------------------------------------------------------------------------
     def _touch_probe(self) -> TouchProbe:

@@ -1,4 +1,4 @@
-"""Touch probe, set-points, parameters and correction table of the in-process drive, directly over servo, probe inputs and settings."""
+"""Touch probe, parameters and correction table of the in-process drive, directly over servo, probe inputs and settings."""
 
 from __future__ import annotations
 
@@ -16,16 +16,13 @@ from drivers.correction_table import (
     RawTable,
     TableDescription,
 )
-from drivers.drive import Capability, DriveSample, DriveState, ServoDrive
+from drivers.drive import Capability
 from drivers.errors import CapabilityError, InputError, StateError
-from drivers.paced_stream import PacedStream
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 from drivers.scaling import AxisScaling
-from drivers.set_points import SetPointSettings
 from drivers.touch_probe import Edge, LatchReading, TouchProbe
 from sim_backends.own_table import OwnTable, TableForm
 from sim_backends.probe_latch import EdgeLatch, ProbeLatch
-from sim_backends.servo import Servo
 
 
 class VirtualTouchProbe(TouchProbe):
@@ -55,27 +52,6 @@ class VirtualTouchProbe(TouchProbe):
     def _caught(self, probe: int, edge: Edge) -> EdgeLatch:
         found = self._latch.channels[probe - 1]
         return found.rising if edge is Edge.POSITIVE else found.falling
-
-
-class VirtualStream(PacedStream):
-    """Set-points directly into the servo."""
-
-    def __init__(self, drive: ServoDrive, servo: Servo, settings: SetPointSettings) -> None:
-        super().__init__(drive, settings)
-        self._servo = servo
-
-    def _begin(self) -> DriveSample:
-        sample = self.drive.sample()
-        if sample.state is not DriveState.ENABLED:
-            raise StateError(f"drive {self.drive.name} cannot stream: it is {sample.state.value}")
-        self._servo.cyclic_position(self._servo.position_demand_counts)
-        return sample
-
-    def _send(self, position_load_mm: float) -> None:
-        self._servo.cyclic_position(self.drive.scaling.motor_counts(position_load_mm))
-
-    def _end(self) -> None:
-        """The servo holds its last set-point by itself."""
 
 
 @dataclass

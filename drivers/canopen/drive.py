@@ -23,7 +23,7 @@ from drivers.canopen.sampling import Sampler, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.stopping import StoppableNode
-from drivers.canopen.stream import AxesBySync, OneAxisStream
+from drivers.canopen.stream import CyclicStream
 from drivers.canopen.touch_probe import CanOpenTouchProbe
 from drivers.cia402 import objects
 from drivers.cia402.homing import HomingSettings
@@ -248,14 +248,11 @@ class CanOpenDrive(StoppableNode):
         self._require_open()
         return None if self.node.table is None else CanOpenCorrectionTable(self.node, self.node.table)
 
-    def _stream(self, settings: SetPointSettings) -> OneAxisStream:
-        return OneAxisStream(self, settings)
-
-    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> AxesBySync:
+    def _stream(self, settings: SetPointSettings, others: Sequence[ServoDrive]) -> CyclicStream:
         in_step = [self, *(drive for drive in others if isinstance(drive, CanOpenDrive) and drive.link is self.link)]
         if len(in_step) <= len(others):
             names = ", ".join(drive.name for drive in (self, *others))
             raise CapabilityError(
                 f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
             )
-        return AxesBySync(in_step, settings)
+        return CyclicStream(in_step, settings)

@@ -21,14 +21,7 @@ from drivers.canopen.pdo import SYNC_EVERY
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.sdo import write_together
 from drivers.canopen.stopping import StoppableNode
-from drivers.canopen.stream_axis import (
-    RUNNING,
-    RUNNING_MASK,
-    Axis,
-    Feedback,
-    StreamCounters,
-    StreamSettings,
-)
+from drivers.canopen.stream_axis import RUNNING, RUNNING_MASK, Axis
 from drivers.canopen.sync import SYNC, SyncFollower
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
@@ -44,12 +37,16 @@ from drivers.errors import (
     SafetyError,
     StateError,
 )
-from drivers.set_points import SetPointGroup, SetPoints, SetPointSettings, SetPointStream
+from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.shutdown import stop_together
 from drivers.undo import undo_all
 
-__all__ = ["AxesBySync", "CyclicStream", "Feedback", "OneAxisStream", "StreamCounters", "StreamSettings"]
-
+BITRATE = 1_000_000
+"""The fastest of CAN, bit/s: a cycle that does not fit it fits no bus."""
+FEEDBACK_SHARE = 0.8
+"""Share of the period within which feedback must have come."""
+LATE_LIMIT = 3
+"""Number of successive cycles without feedback after which a stream is stopped."""
 HEARTBEATS_WATCHED_S = 0.05
 """Interval of the checks of every drive's heartbeat while its feedback comes, s."""
 FOREIGN_SYNCS = 3
@@ -58,21 +55,19 @@ FOREIGN_SYNC_S = 10.0
 before it hears the stream's and leaves SYNC to it; a third may come from a program that is started meanwhile."""
 
 
-class CyclicStream:
-    """Use as a context manager around enabled drives on one link; call `cycle` once per period with a value for each drive.
+class CyclicStream(SetPointStream):
+    """Set-points to drives on one link. On leaving they are set to profile position. An axis that cannot be put back, or does not
+    confirm its stop, is disabled. While it runs no other drive on the link answers SYNC.
 
-    On leaving, the axes are held where they are, set to profile position and stay enabled; after an error they are
-    quick-stopped. An axis that cannot be put back, or does not confirm its stop, is disabled. While it runs no other drive on the link
-    answers SYNC.
+    cycles: number of those begun. late_feedback: number of answers that did not come in time. foreign_syncs: of SYNCs that the stream
+    did not send.
     """
 
-    def __init__(self, drives: Sequence[StoppableNode], settings: StreamSettings) -> None:
-        if not drives or len({id(drive.link) for drive in drives}) != 1:
-            raise InputError("a stream needs drives, all on one link")
-        if not settings.period_s > 0:
-            raise InputError(f"stream period is {settings.period_s} s, expected > 0")
+    def __init__(self, drives: Sequence[StoppableNode], settings: SetPointSettings) -> None:
         self.settings = settings
-        self.counters = StreamCounters()
+        self.cycles = self.missed_cycles = self.late_feedback = self.foreign_syncs = 0
+        self.reached_ns = 0  # when SYNC is sent next, too
+        self.found = [(0, math.nan)] * len(drives)
         self.link = drives[0].link
         self.clock = self.link.clock
         self._drives = tuple(drives)
@@ -93,8 +88,7 @@ class CyclicStream:
         self._sync_message = can.Message(arbitration_id=SYNC, data=b"", is_extended_id=False)
         self._period_ns = round(settings.period_s * NS_PER_S)
         self._watch_every = max(1, round(HEARTBEATS_WATCHED_S / settings.period_s))
-        self._feedback_s = settings.period_s * settings.feedback_share
-        self._next_sync_ns = 0
+        self._feedback_s = settings.period_s * FEEDBACK_SHARE
         self._missed_in_a_row = 0
         self._running = False
         self._stopped = False  # whether a stop was sent to the axes
@@ -125,9 +119,7 @@ class CyclicStream:
 
     def _check_fit(self, *staying: SyncFollower) -> None:
         """Raise InputError unless the cycle fits the bus, with the TPDOs of other drives that answer its SYNC."""
-        if self.settings.bitrate is None:
-            return
-        cycle = Cycle(self.settings.period_s * 1e6, self.settings.bitrate, self.settings.budget)
+        cycle = Cycle(self.settings.period_s * 1e6, BITRATE)
         pdos = {axis.node.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}
         refuse_errors(lint(pdos | {follower.node_id: tuple(follower.specs) for follower in staying}, cycle=cycle))
 
@@ -174,7 +166,7 @@ class CyclicStream:
                 axis.sync_period_before = sdo.read(cia301.SYNC_PERIOD)
                 sdo.write(cia301.SYNC_PERIOD, round(self.settings.period_s * 1e6))
         self._running = True
-        self._next_sync_ns = self.clock.now_ns() + self._period_ns
+        self.reached_ns = self.clock.now_ns() + self._period_ns
         self.link.subscribe(SYNC, self._on_sync)
 
     def _stop_all(self, error: BaseException) -> None:
@@ -222,45 +214,39 @@ class CyclicStream:
             undo_all([("", drive.disable)], during=error)
             raise
 
-    @property
-    def next_sync_ns(self) -> int:
-        """Time at which this process sends SYNC next, in the clock's time, ns."""
-        return self._next_sync_ns
-
     # -- the cycle -------------------------------------------------------------------------------------------------------
-    def cycle(self, values: Sequence[float]) -> list[Feedback]:
-        """Send one position per drive (load mm), wait for the SYNC that applies them, and for feedback.
-
-        Raises LimitError before anything is sent; SafetyError (cycles missed), NoAnswerError (feedback missing), LinkLostError
-        (heartbeat), DriveFaultError, FollowingErrorError, StateError - each with all axes quick-stopped.
-        """
+    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+        """As `SetPointStream.cycle`: the set-points wait for the SYNC that applies them, and this for the feedback that it requests. A
+        position that did not come in time is the last one."""
         axes = self._axes
         if not self._running:
             raise StateError("the stream is not running")
-        if len(values) != len(axes):
-            raise InputError(f"{len(values)} values for {len(axes)} drives")
+        if len(positions_load_mm) != len(axes):
+            raise InputError(f"{len(positions_load_mm)} set-points for {len(axes)} axes")
         try:
             self._end_when_stopped()
-            for axis, value in zip(axes, values, strict=False):
-                axis.planned = axis.counts_of(value)
+            for axis, place_mm in zip(axes, positions_load_mm, strict=False):
+                axis.planned = axis.counts_of(place_mm)
             self._exchange()
-            self.counters.cycles += 1
+            self.cycles += 1
             if not self.link.wait(self._all_answered, self._feedback_s):
                 self._account_for_late()
-            if self.counters.cycles % self._watch_every == 0:
+            if self.cycles % self._watch_every == 0:
                 for axis in axes:
                     axis.node.monitor.check()
-            feedback = []
-            for axis in axes:
-                counts, status, late = axis.position_counts, axis.status, not axis.fresh
-                if not late:
+            synced_ns, places_mm = self.reached_ns - self._period_ns, []
+            for index, axis in enumerate(axes):
+                counts = axis.position_counts
+                place_mm = counts * axis.mm_per_count
+                places_mm.append(place_mm)
+                if axis.fresh:
                     axis.late_in_a_row = 0
-                    if status & RUNNING_MASK != RUNNING:
+                    if axis.status & RUNNING_MASK != RUNNING:
                         self._judge_status(axis)
                     if abs(counts - axis.demand_counts) > axis.max_error_counts:
                         raise axis.explain_error()
-                feedback.append(Feedback(axis.heard_ns, status, counts * axis.mm_per_count, late))
-            return feedback
+                    self.found[index] = synced_ns, place_mm
+            return places_mm
         except BaseException as error:
             self._stop_all(error)
             raise
@@ -269,45 +255,32 @@ class CyclicStream:
         """Send the set-points at once, SYNC when it is due."""
         link, clock = self.link, self.clock
         now_ns = clock.now_ns()
-        if not self.counters.cycles:
-            self._next_sync_ns = now_ns + self._period_ns  # the first set-point is the zero of time
-        if now_ns > self._next_sync_ns:
-            self._account_for_lateness(now_ns - self._next_sync_ns)
+        if not self.cycles:
+            self.reached_ns = now_ns + self._period_ns  # the first set-point is the zero of time
+        if now_ns > self.reached_ns:
+            self._account_for_missed((now_ns - self.reached_ns) // self._period_ns)
         else:
             self._missed_in_a_row = 0
         for axis in self._axes:
             link.send_message(axis.set_point())
         self._end_when_stopped()  # before SYNC: a stop that came just now was sent before the set-point, which would cancel it
-        clock.sleep_until_ns(self._next_sync_ns)
+        clock.sleep_until_ns(self.reached_ns)
         link.poll()  # late frames belong to the cycle before
-        self._begin_cycle()
+        for axis in self._axes:  # the set-points sent are in force at SYNC, and the answer of every axis is awaited
+            axis.fresh = False
+            axis.demand_counts = axis.next_counts
         link.send_message(self._sync_message)
-        self._next_sync_ns += self._period_ns
-
-    def _account_for_lateness(self, late_ns: int) -> None:
-        """Set-points after the SYNC that should have applied them: whole periods are missed cycles."""
-        self.counters.worst_late_ns = max(self.counters.worst_late_ns, late_ns)
-        missed = late_ns // self._period_ns
-        self._next_sync_ns += missed * self._period_ns
-        self._account_for_missed(missed)
+        self.reached_ns += self._period_ns
 
     def _account_for_missed(self, missed: int) -> None:
-        """Count SYNCs without new set-points, and raise SafetyError when too many follow each other."""
-        if not missed:
-            self._missed_in_a_row = 0
-            return
-        self.counters.missed_cycles += missed
-        self._missed_in_a_row += missed
+        """Count whole periods that went by without new set-points. Raises SafetyError when too many follow each other."""
+        self.reached_ns += missed * self._period_ns
+        self.missed_cycles += missed
+        self._missed_in_a_row = self._missed_in_a_row + missed if missed else 0
         if self._missed_in_a_row > self.settings.missed_limit:
             raise SafetyError(
                 f"stream: {self._missed_in_a_row} cycles of {1e3 * self.settings.period_s:g} ms missed in a row, the host is late"
             )
-
-    def _begin_cycle(self) -> None:
-        """At a SYNC: the set-points sent are in force now, and the answer of every axis is awaited."""
-        for axis in self._axes:
-            axis.fresh = False
-            axis.demand_counts = axis.next_counts
 
     def _end_when_stopped(self) -> None:
         """End the stream when a stop was sent to an axis: no further set-point enables it. Raises StateError."""
@@ -321,7 +294,7 @@ class CyclicStream:
         Raises SafetyError above `FOREIGN_SYNCS`."""
         if not self._running:
             return
-        self.counters.foreign_syncs += 1
+        self.foreign_syncs += 1
         self._foreign.append(time_ns)
         self._foreign = [heard_ns for heard_ns in self._foreign if time_ns - heard_ns <= FOREIGN_SYNC_S * NS_PER_S]
         if len(self._foreign) > FOREIGN_SYNCS:
@@ -340,10 +313,10 @@ class CyclicStream:
         for axis in self._axes:
             if axis.fresh:
                 continue
-            self.counters.late_feedback += 1
+            self.late_feedback += 1
             axis.late_in_a_row += 1
             axis.node.monitor.check()
-            if axis.late_in_a_row > self.settings.late_limit:
+            if axis.late_in_a_row > LATE_LIMIT:
                 raise NoAnswerError(
                     f"drive {axis.node.name}: no feedback for {axis.late_in_a_row} cycles of"
                     f" {1e3 * self.settings.period_s:g} ms"
@@ -351,7 +324,7 @@ class CyclicStream:
 
     def _judge_status(self, axis: Axis) -> None:
         """Raise the error of a statusword other than "enabled and following"; the first cycle may not follow yet."""
-        if self.counters.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
+        if self.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
             raise axis.explain_status()
 
 
@@ -381,74 +354,3 @@ def _interpolation(period_s: float) -> tuple[int, int]:
         if value <= 255 and abs(value - round(value)) < 1e-6 * value:
             return round(value), exponent
     raise InputError(f"a period of {period_s} s cannot be written into 60C2h")
-
-
-# -- as the set-point streams of all wires ---------------------------------------------------------------------------------
-class _BySync(SetPoints):
-    """SYNC is sent by this process. On entering, the axes must be enabled and the bus be able to carry the cycle."""
-
-    def __init__(self, drives: Sequence[StoppableNode], settings: SetPointSettings) -> None:
-        error_mm, missed = settings.following_error_mm, settings.missed_limit
-        by_sync = StreamSettings(settings.period_s, following_error_mm=error_mm, missed_limit=missed)
-        self._stream = CyclicStream(drives, by_sync)
-
-    def __enter__(self) -> Self:
-        self._stream.__enter__()
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self._stream.__exit__(exc_type, exc, traceback)
-
-    @property
-    def missed_cycles(self) -> int:
-        return self._stream.counters.missed_cycles
-
-
-class OneAxisStream(_BySync, SetPointStream):
-    """Set-points to one axis, paced by SYNC."""
-
-    def __init__(self, drive: StoppableNode, settings: SetPointSettings) -> None:
-        super().__init__([drive], settings)
-        self._period_ns = round(settings.period_s * NS_PER_S)
-        self._found = 0, math.nan
-
-    def cycle(self, position_load_mm: float) -> float:
-        (feedback,) = self._stream.cycle([position_load_mm])
-        if not feedback.late:  # it belongs to the SYNC of this cycle
-            self._found = self._stream.next_sync_ns - self._period_ns, feedback.position_load_mm
-        return feedback.position_load_mm
-
-    @property
-    def found(self) -> tuple[int, float]:
-        return self._found
-
-    @property
-    def reached_ns(self) -> int:
-        return self._stream.next_sync_ns
-
-
-class AxesBySync(_BySync, SetPointGroup):
-    """Set-points to several axes on one bus, all paced by one SYNC."""
-
-    def __init__(self, drives: Sequence[StoppableNode], settings: SetPointSettings) -> None:
-        super().__init__(drives, settings)
-        self._period_ns = round(settings.period_s * NS_PER_S)
-        self._found = [(0, math.nan)] * len(drives)
-
-    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
-        feedback = self._stream.cycle(positions_load_mm)
-        synced_ns = self._stream.next_sync_ns - self._period_ns
-        for index, one in enumerate(feedback):
-            if not one.late:
-                self._found[index] = synced_ns, one.position_load_mm
-        return [one.position_load_mm for one in feedback]
-
-    @property
-    def found(self) -> list[tuple[int, float]]:
-        return self._found
-
-    @property
-    def reached_ns(self) -> int:
-        return self._stream.next_sync_ns

@@ -1,13 +1,8 @@
-"""Settings and counters of a stream, and one axis of it with its frames, its latest feedback and its limits in counts.
-
-Holds what concerns one axis alone. `stream` paces it and reacts to errors.
-"""
+"""One axis of a stream with its frames, its latest feedback and its limits in counts. `stream` paces it and reacts to errors."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
 
 import can
 
@@ -23,48 +18,7 @@ from drivers.drive import FAULTS, DriveState
 from drivers.errors import BridgeError, DriveFaultError, FollowingErrorError, LimitError, StateError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
-
-
-@dataclass(frozen=True)
-class StreamSettings:
-    """period_s: the SYNC cycle, s. bitrate: for the prediction whether the cycle fits, bit/s; None skips it.
-
-    The limits are numbers of successive cycles, after which the stream is stopped. following_error_mm: largest allowed difference
-    between the set-point that was in force and the position that came back, mm.
-    """
-
-    period_s: float
-    bitrate: int | None = 1_000_000
-    budget: float = 0.7
-    missed_limit: int = 3
-    late_limit: int = 3
-    feedback_share: float = 0.8  # of the period, within which feedback must have come
-    following_error_mm: float = 1.0
-
-
-@dataclass
-class StreamCounters:
-    """Events since the start. worst_late_ns: largest delay of the host's set-points, ns."""
-
-    cycles: int = 0
-    missed_cycles: int = 0  # SYNCs that went by without new set-points
-    late_feedback: int = 0
-    foreign_syncs: int = 0  # SYNCs that the stream's owner did not send
-    worst_late_ns: int = 0
-
-
-class Feedback(NamedTuple):
-    """The values of an axis at a SYNC. late: an older value, as the one of this cycle did not come in time."""
-
-    time_ns: int
-    status: int
-    position_load_mm: float
-    late: bool
-
-    @property
-    def state(self) -> DriveState:
-        return decode_state(self.status)
-
+from drivers.set_points import SetPointSettings
 
 TARGETS: dict[Mode, Entry] = {
     Mode.CYCLIC_POSITION: objects.TARGET_POSITION,
@@ -92,7 +46,7 @@ class Axis:
         power: PowerStage,
         scaling: AxisScaling,
         limits: DriveLimits,
-        settings: StreamSettings,
+        settings: SetPointSettings,
         *,
         stop: PdoSpec | None,
         mode: Mode,

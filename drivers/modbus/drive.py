@@ -7,11 +7,11 @@ does not count as running; a start bit is never sent twice.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from drivers.clock import Clock
-from drivers.drive import Capability, DriveSample, DriveState, DriveZero, ServoDrive
+from drivers.drive import Capability, DriveSample, DriveState, DriveZero
 from drivers.errors import (
     BridgeError,
     CapabilityError,
@@ -21,7 +21,7 @@ from drivers.errors import (
 )
 from drivers.limits import DriveLimits
 from drivers.modbus.correction_table import ModbusCorrectionTable
-from drivers.modbus.drive_map import DriveMap, StreamMap
+from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_facts import FactLedger, Proof
 from drivers.modbus.needs import Needs
@@ -31,14 +31,14 @@ from drivers.modbus.touch_probe import ModbusTouchProbe
 from drivers.modbus.wear import WearLedger
 from drivers.modbus.word_order_evidence import judge_orders
 from drivers.named_parameters import NamedParameters
-from drivers.paced_stream import PacedGroup, PacedStream
+from drivers.paced_stream import HostPacedDrive
 from drivers.scaling import AxisScaling, ReportedScaling
 from drivers.set_points import SetPointSettings
 from drivers.shutdown import Left
 from drivers.undo import undo_all
 
 
-class ModbusDrive(StoppableUnit):
+class ModbusDrive(StoppableUnit, HostPacedDrive):
     """One unit on a link as a drive. Several drives may share the link; it is closed when the last of them closes.
 
     wear: where writes to the EEPROM are counted; ledger: where the facts of the map that were proven are kept.
@@ -263,20 +263,20 @@ class ModbusDrive(StoppableUnit):
             self.moves.begin(move)
 
     # -- streams ---------------------------------------------------------------------------------------------------
-    def _stream(self, settings: SetPointSettings) -> ModbusStream:
-        if self.map.stream is None:
-            raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
-        return ModbusStream(self, self.map.stream, settings)
-
-    def _stream_with(self, others: Sequence[ServoDrive], settings: SetPointSettings) -> PacedGroup:
-        return PacedGroup([self, *others], settings)
-
-    def begin_stream(self) -> DriveSample:
-        """For `ModbusStream`: target := actual, then the mode in which the drive follows it; a sample. Raises CapabilityError."""
-        stream = self.map.stream
-        self._require_enabled("stream")
+    def begin_stream(self, settings: SetPointSettings) -> DriveSample:
+        """Target := actual, then the mode in which the drive follows it; a sample. Raises CapabilityError, and InputError for a period
+        that map or wire cannot keep."""
+        stream, period_s = self.map.stream, settings.period_s
         if stream is None:
             raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
+        target = self.registers[stream.target]
+        wire_s = self.sample_wire_s + self.link.cost.write_s(target.table, target.span.count)
+        for least_s, whose in ((stream.least_period_s, "the drive by its register map"), (wire_s, "the wire")):
+            if period_s < least_s:
+                raise InputError(
+                    f"drive {self.name}: stream period is {1e3 * period_s:g} ms, {whose} needs {1e3 * least_s:.3g} ms"
+                )
+        self._require_enabled("stream")
         with self._no_motion_after_errors():
             self.homing.leave(self.access.read(self.map.sampled()))
             self._write_here(stream.target)
@@ -285,13 +285,13 @@ class ModbusDrive(StoppableUnit):
             return self.sample()
 
     def send_set_point(self, position_load_mm: float) -> None:
-        """For `ModbusStream`: the next set-point, load mm."""
+        """The next set-point, load mm."""
         target = self.map.stream.target if self.map.stream is not None else self.map.move.target
         counts = float(self.scaling.motor_counts(position_load_mm))
         self.commands.write({target: self.values.raw(counts, target)})
 
     def end_stream(self) -> None:
-        """For `ModbusStream`: return to the mode of moves, held where it is."""
+        """Return to the mode of moves, held where it is."""
         with self._no_motion_after_errors():
             self._target_here()
             self.moves.set_mode()
@@ -310,29 +310,3 @@ class ModbusDrive(StoppableUnit):
     def parameters(self) -> NamedParameters:
         """Parameters by the names of the register map."""
         return self._parameters
-
-
-class ModbusStream(PacedStream):
-    """Each cycle writes one set-point and reads one sample. Entering raises InputError for a period that map or wire cannot keep."""
-
-    def __init__(self, drive: ModbusDrive, stream: StreamMap, settings: SetPointSettings) -> None:
-        super().__init__(drive, settings)
-        self._modbus = drive
-        self._stream = stream
-
-    def _begin(self) -> DriveSample:
-        drive, period_s = self._modbus, self.settings.period_s
-        target = drive.registers[self._stream.target]
-        wire_s = drive.sample_wire_s + drive.link.cost.write_s(target.table, target.span.count)
-        for least_s, whose in ((self._stream.least_period_s, "the drive by its register map"), (wire_s, "the wire")):
-            if period_s < least_s:
-                raise InputError(
-                    f"drive {drive.name}: stream period is {1e3 * period_s:g} ms, {whose} needs {1e3 * least_s:.3g} ms"
-                )
-        return drive.begin_stream()
-
-    def _send(self, position_load_mm: float) -> None:
-        self._modbus.send_set_point(position_load_mm)
-
-    def _end(self) -> None:
-        self._modbus.end_stream()

@@ -109,8 +109,9 @@ class _Trace:
         self.reached_ns.append(stream.reached_ns)
         self.command_mm.append(self.session.commanded_mm)
         self.since_reversal_mm.append(math.nan if history is None else history.since_reversal_mm)
-        if not self.found or stream.found[0] > self.found[-1][0]:  # a late position is reported once
-            self.found.append(stream.found)
+        found = stream.found[0]
+        if not self.found or found[0] > self.found[-1][0]:  # a late position is reported once
+            self.found.append(found)
         self.samples += self.session.readings()
         if self.edges is not None:
             self.edges.look()

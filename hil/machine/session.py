@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Self
 from drivers.drive import Capability, DriveSample, ServoDrive
 from drivers.errors import InputError, InstrumentLinkError, LinkLostError, StateError
 from drivers.instrument import DistanceInstrument, Reading
-from drivers.set_points import FirstOfGroup, SetPointSettings, SetPointStream
+from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
@@ -437,48 +437,25 @@ class AxisSession:
         the travel, CapabilityError for axes that cannot stream together, and what the stream raises; any error stops the axes.
         """
         points = self.set_points()
-        cross = self._cross_in_use
-        if cross is not None:
-            self._stream_with(cross, path_mm, settings, at, points)
-            return
-        with (
-            self.supervisor.stopping_on_error(),
-            self.axis.following() as found,
-            self.drive.stream(settings) as stream,
-        ):
+        crosses = [] if self._cross_in_use is None else [self._cross_in_use]
+        across = [(cross, cross.set_points(self.elapsed_s())) for cross in crosses]
+        with ExitStack() as stack:
+            stack.enter_context(self.supervisor.stopping_on_error())
+            found = [stack.enter_context(axis.following()) for axis in (self.axis, *(cross.axis for cross in crosses))]
+            stream = stack.enter_context(self.drive.stream(settings, [cross.drive for cross in crosses]))
             for target_mm, velocity_mm_s in path_mm:
-                place_mm = stream.cycle(self.set_point(points, target_mm, velocity_mm_s))
+                commands_mm = [self.set_point(points, target_mm, velocity_mm_s)]
+                for cross, its_points in across:
+                    across_um = self.across_um(target_mm, cross.name)
+                    commands_mm.append(cross.set_point(its_points, across_um, self.elapsed_s()))
+                places_mm = stream.cycle(commands_mm)
                 points.issued()
-                self.command_state.found_at(place_mm)
-                found(*stream.found, velocity_mm_s)
+                self.command_state.found_at(places_mm[0])
+                for _, its_points in across:
+                    its_points.issued()
+                for tell, place in zip(found, stream.found, strict=True):
+                    tell(*place, velocity_mm_s)
                 at(stream)
-
-    def _stream_with(
-        self,
-        cross: CrossAxis,
-        path_mm: Iterable[tuple[float, float]],
-        settings: SetPointSettings,
-        at: Callable[[SetPointStream], None],
-        points: StreamedCorrection,
-    ) -> None:
-        across = cross.set_points(self.elapsed_s())
-        with (
-            self.supervisor.stopping_on_error(),
-            self.axis.following() as found,
-            cross.axis.following() as found_across,
-            self.drive.stream_with([cross.drive], settings) as group,
-        ):
-            own = FirstOfGroup(group)
-            for target_mm, velocity_mm_s in path_mm:
-                command_mm = self.set_point(points, target_mm, velocity_mm_s)
-                across_um = self.across_um(target_mm, cross.name)
-                place_mm, _ = group.cycle([command_mm, cross.set_point(across, across_um, self.elapsed_s())])
-                points.issued()
-                self.command_state.found_at(place_mm)
-                across.issued()
-                found(*group.found[0], velocity_mm_s)
-                found_across(*group.found[1], velocity_mm_s)
-                at(own)
 
     def across_um(self, target_mm: float, other: str, direction: int = 0) -> float:
         """What this axis's straightness adds to the set-points of another while its own target is `target_mm`, µm.

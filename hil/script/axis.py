@@ -264,7 +264,7 @@ class Axis:
                 before_mm = target_mm
 
         def at(stream: SetPointStream) -> None:
-            found.append((stream.found[0], stream.found[1]))
+            found.append(stream.found[0])
 
         session.stream_along(path(), SetPointSettings(period_s, following_error_mm), at)
         self._last = None

@@ -28,10 +28,11 @@ from support.bench import Record, median_ratio, row, side_by_side
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.clock import Clock
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave
 from sim_backends.servo import SimulatedServo
@@ -118,14 +119,14 @@ def _ours(axes: int, stack: ExitStack) -> Callable[[int], None]:
         drive.open()
         drive.enable()
         drives.append(drive)
-    stream = CyclicStream(drives, StreamSettings(0.01, bitrate=None))
+    stream = CyclicStream(drives, SetPointSettings(0.01))
     stream.__enter__()
     bus.streaming = True
 
     def run(cycles: int) -> None:
         for cycle in range(cycles):
-            feedback = stream.cycle([0.001 * (cycle % 100)] * axes)
-            assert abs(feedback[0].position_load_mm - 0.001 * (cycle % 100)) < 1e-3
+            places_mm = stream.cycle([0.001 * (cycle % 100)] * axes)
+            assert abs(places_mm[0] - 0.001 * (cycle % 100)) < 1e-3
 
     return run
 

@@ -144,9 +144,9 @@ def test_set_points_are_followed_and_moves_work_again(rig: Rig) -> None:
         home(rig)
         with drive.stream(PERIOD) as stream:
             for step in range(1, 31):
-                stream.cycle(0.3 * step)  # 10 mm/s
+                stream.cycle([0.3 * step])  # 10 mm/s
             for _ in range(5):
-                place_mm = stream.cycle(9.0)
+                (place_mm,) = stream.cycle([9.0])
             assert stream.missed_cycles == 0
             assert place_mm == pytest.approx(9.0, abs=1e-3)
         assert drive.sample().state is DriveState.ENABLED
@@ -157,7 +157,7 @@ def test_set_points_are_followed_and_moves_work_again(rig: Rig) -> None:
 def _stream(rig: Rig, *places_mm: float, thinking_s: float = 0.0) -> None:
     with rig.drive.stream(PERIOD) as stream:
         for place_mm in places_mm:
-            stream.cycle(place_mm)
+            stream.cycle([place_mm])
             rig.run(thinking_s)
 
 

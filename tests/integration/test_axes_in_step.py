@@ -49,7 +49,7 @@ def test_both_axes_follow_their_own_path(tmp_path: Path, face: str, period_s: fl
         for drive in drives:
             drive.enable()
         start = [drive.sample().position_load_mm for drive in drives]
-        with drives[0].stream_with(drives[1:], SetPointSettings(period_s)) as stream:
+        with drives[0].stream(SetPointSettings(period_s), drives[1:]) as stream:
             for index in range(1, 26):
                 share = 0.5 * (1.0 - math.cos(math.pi * min(1.0, index / 20)))
                 stream.cycle([start[0] + 2.0 * share, start[1] - 1.0 * share])
@@ -74,7 +74,7 @@ def test_an_axis_that_was_left_is_not_stopped_again_with_the_other(tmp_path: Pat
 
 
 def _stream(drives: list[ServoDrive], set_points: list[list[float]]) -> None:
-    with drives[0].stream_with(drives[1:], SetPointSettings(0.01)) as stream:
+    with drives[0].stream(SetPointSettings(0.01), drives[1:]) as stream:
         for positions in set_points:
             stream.cycle(positions)
 
@@ -171,9 +171,9 @@ def test_axes_that_nothing_paces_together_are_refused(tmp_path: Path) -> None:
     ):
         one, other = first[0].session.drive, second[0].session.drive
         with pytest.raises(CapabilityError, match="not all on one CAN bus"):
-            one.stream_with([other], SetPointSettings(0.01))
+            one.stream(SetPointSettings(0.01), [other])
     with connected_ideal(axes_of(tmp_path / "more", "virtual")) as machines:
-        stream = machines[0].session.drive.stream_with([machines[1].session.drive], SetPointSettings(0.01))
+        stream = machines[0].session.drive.stream(SetPointSettings(0.01), [machines[1].session.drive])
         with pytest.raises(StateError, match="cannot stream"):
             stream.__enter__()
 

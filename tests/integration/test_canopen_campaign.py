@@ -18,7 +18,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.cia402 import objects
 from drivers.cia402.power import PowerTimes
 from drivers.drive import DriveSample, DriveState
@@ -37,6 +37,7 @@ from drivers.errors import (
 )
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import SMALL_SERVO, CanBench
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_wire import WirePort
@@ -233,7 +234,7 @@ def _job(drive: CanOpenDrive) -> None:
         drive.sdo.write(GAIN, before + 1)
         if drive.sdo.read(GAIN) != before + 1:
             raise ProtocolError("gain does not read back")
-    with CyclicStream([drive], StreamSettings(0.002, following_error_mm=2.0)) as stream:
+    with CyclicStream([drive], SetPointSettings(0.002, following_error_mm=2.0)) as stream:
         for cycle in range(400):
             stream.cycle([min(cycle, 300) * 0.2])
     for target_mm in (30.0, 0.0):

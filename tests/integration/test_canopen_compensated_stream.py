@@ -13,9 +13,10 @@ import numpy as np
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from sim_backends.canopen_bench import SMALL_SERVO
@@ -80,7 +81,7 @@ def _stream(compensation: Compensation, cycles: int = 6000) -> tuple[np.ndarray,
             drive.start_move(_path_mm(0), 50.0)
             drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
             history = MotionHistory(0.0).moved_to(_path_mm(0))
-            with CyclicStream([drive], StreamSettings(PERIOD_S, following_error_mm=3.0)) as stream:
+            with CyclicStream([drive], SetPointSettings(PERIOD_S, following_error_mm=3.0)) as stream:
                 before_mm = _path_mm(0)
                 for cycle in range(1, cycles):
                     target_mm = _path_mm(cycle)
@@ -93,8 +94,8 @@ def _stream(compensation: Compensation, cycles: int = 6000) -> tuple[np.ndarray,
                     if cycle > 1600:
                         errors.append(1000.0 * (screw.table_mm - before_mm))
                     before_mm = target_mm
-                assert stream.counters.missed_cycles == 0
-                assert stream.counters.late_feedback == 0
+                assert stream.missed_cycles == 0
+                assert stream.late_feedback == 0
     return np.array(errors), busy_s / cycles
 
 

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.drive import DriveState
 from drivers.errors import (
     BridgeError,
@@ -27,6 +27,7 @@ from drivers.errors import (
 )
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
@@ -92,30 +93,29 @@ def test_published_cycles_fit_without_a_miss(
 ) -> None:
     """Two axes at 1 ms and five at 2 ms: within 70 % of the bus, no cycle missed, no feedback late."""
     rig = _rig(stack, axes)
-    settings = StreamSettings(period_s, following_error_mm=2.0)
+    settings = SetPointSettings(period_s, following_error_mm=2.0)
     cycles = 1000 // axes
     with CyclicStream(rig.drives, settings) as stream:
         busy_ns, start_ns = rig.bench.wire.busy_ns, rig.bench.clock.now_ns()
         worst_mm = 0.0
         for cycle in range(cycles):
             targets = [_sine(cycle * period_s, number) for number in range(axes)]
-            feedback = stream.cycle(targets)
-            worst_mm = max(worst_mm, *(abs(a.position_load_mm - t) for a, t in zip(feedback, targets, strict=True)))
+            places = stream.cycle(targets)
+            worst_mm = max(worst_mm, *(abs(place - target) for place, target in zip(places, targets, strict=True)))
         load = rig.bench.wire.load(busy_ns, start_ns)
-        counters = stream.counters
         elapsed_ns = rig.bench.clock.now_ns() - start_ns
     record_property("bus_load", load)
-    print(f"{axes} axes at {1e3 * period_s:g} ms: {100 * load:.1f} % of the bus, {counters}")
-    assert counters.cycles == cycles
-    assert (counters.missed_cycles, counters.late_feedback) == (0, 0)
+    print(f"{axes} axes at {1e3 * period_s:g} ms: {100 * load:.1f} % of the bus")
+    assert stream.cycles == cycles
+    assert (stream.missed_cycles, stream.late_feedback) == (0, 0)
     assert load <= 0.70
     assert elapsed_ns == pytest.approx(cycles * period_s * 1e9, rel=0.01)
     assert worst_mm < 2.0
     assert all(drive.sample().state is DriveState.ENABLED for drive in rig.drives)
 
 
-def _cycles(rig: Rig, values: list[float], settings: StreamSettings | None = None) -> CyclicStream:
-    with CyclicStream(rig.drives, settings or StreamSettings(0.001)) as stream:
+def _cycles(rig: Rig, values: list[float], settings: SetPointSettings | None = None) -> CyclicStream:
+    with CyclicStream(rig.drives, settings or SetPointSettings(0.001)) as stream:
         for value in values:
             stream.cycle([value])
     return stream
@@ -136,14 +136,14 @@ def test_a_cycle_that_cannot_fit_is_refused_before_anything_is_written(stack: Ex
     frames = rig.bench.wire.frames
     with (
         pytest.raises(InputError, match="90 % of the bus, at most 70 %"),
-        CyclicStream(rig.drives, StreamSettings(0.001)),
+        CyclicStream(rig.drives, SetPointSettings(0.001)),
     ):
         pytest.fail("entered")
     assert rig.bench.wire.frames == frames
 
 
 def _stream_until_it_stops(
-    rig: Rig, settings: StreamSettings, seconds: float = 1.0
+    rig: Rig, settings: SetPointSettings, seconds: float = 1.0
 ) -> tuple[BridgeError, CyclicStream]:
     stream = CyclicStream(rig.drives, settings)
     try:
@@ -186,7 +186,7 @@ def test_what_goes_wrong_stops_all_axes(
     stack: ExitStack, faults: list[CanFault], error: type[BridgeError], match: str
 ) -> None:
     rig = _rig(stack, 2, faults={2: faults})
-    caught, _ = _stream_until_it_stops(rig, StreamSettings(0.001, following_error_mm=0.5))
+    caught, _ = _stream_until_it_stops(rig, SetPointSettings(0.001, following_error_mm=0.5))
     assert isinstance(caught, error)
     assert re.search(match, str(caught)), caught
     rig.assert_safe()
@@ -194,20 +194,20 @@ def test_what_goes_wrong_stops_all_axes(
 
 def test_a_heartbeat_that_stops_while_feedback_goes_on_ends_the_stream(stack: ExitStack) -> None:
     rig = _rig(stack, 1, faults={1: _late_faults(K.HEARTBEAT_STOPS)})
-    caught, stream = _stream_until_it_stops(rig, StreamSettings(0.005), seconds=3.0)
+    caught, stream = _stream_until_it_stops(rig, SetPointSettings(0.005), seconds=3.0)
     assert isinstance(caught, LinkLostError)
     assert re.search("axis 1: no heartbeat of node 1", str(caught))
-    assert stream.counters.late_feedback == 0
+    assert stream.late_feedback == 0
     rig.assert_safe()
 
 
 def test_frames_that_come_twice_are_not_taken_for_the_next_cycles(stack: ExitStack) -> None:
     rig = _rig(stack, 1, faults={1: _late_faults(K.DUPLICATES)})
-    with CyclicStream(rig.drives, StreamSettings(0.002)) as stream:
+    with CyclicStream(rig.drives, SetPointSettings(0.002)) as stream:
         for cycle in range(350):
-            (feedback,) = stream.cycle([0.02 * cycle])  # 10 mm/s: one cycle is 20 µm
+            (place_mm,) = stream.cycle([0.02 * cycle])  # 10 mm/s: one cycle is 20 µm
             present_mm = rig.bench.servo.position_actual_counts / 10_000
-            assert abs(present_mm - feedback.position_load_mm) < 0.012, cycle
+            assert abs(present_mm - place_mm) < 0.012, cycle
     assert present_mm > 6.5
 
 
@@ -215,27 +215,27 @@ def test_frames_that_come_twice_are_not_taken_for_the_next_cycles(stack: ExitSta
 def test_a_few_late_answers_are_counted_and_lived_with(stack: ExitStack, kind: CanFaultKind) -> None:
     fault = CanFault(kind, at_s=0.3, size=0.0012, count=3)
     rig = _rig(stack, 1, faults={1: [fault]})
-    with CyclicStream(rig.drives, StreamSettings(0.001)) as stream:
+    with CyclicStream(rig.drives, SetPointSettings(0.001)) as stream:
         for cycle in range(600):
             stream.cycle([20.0 * cycle * 0.001])
-        assert 1 <= stream.counters.late_feedback <= 3
-        assert stream.counters.cycles == 600
+        assert 1 <= stream.late_feedback <= 3
+        assert stream.cycles == 600
 
 
 def test_a_host_that_is_late_now_and_then_is_counted(stack: ExitStack) -> None:
     rig = _rig(stack, 1)
-    with CyclicStream(rig.drives, StreamSettings(0.001, missed_limit=3)) as stream:
+    with CyclicStream(rig.drives, SetPointSettings(0.001, missed_limit=3)) as stream:
         for cycle in range(100):
             if cycle % 10 == 5:
                 rig.bench.clock.sleep_s(0.0025)  # the caller thinks for two and a half cycles
             stream.cycle([0.0])
-        assert stream.counters.missed_cycles == 10
-        assert stream.counters.cycles == 100
+        assert stream.missed_cycles == 10
+        assert stream.cycles == 100
 
 
 def test_a_host_that_stays_away_is_stopped(stack: ExitStack) -> None:
     rig = _rig(stack, 1)
-    stream = stack.enter_context(CyclicStream(rig.drives, StreamSettings(0.001)))
+    stream = stack.enter_context(CyclicStream(rig.drives, SetPointSettings(0.001)))
     stream.cycle([0.0])
     rig.bench.clock.sleep_s(0.0049)
     with pytest.raises(SafetyError, match="missed in a row"):
@@ -246,7 +246,7 @@ def test_a_host_that_stays_away_is_stopped(stack: ExitStack) -> None:
 def test_a_master_that_dies_while_streaming_leaves_a_safe_axis(stack: ExitStack) -> None:
     """Nothing is sent any more, not even a stop: the drive misses SYNC (1006h) and faults by itself."""
     rig = _rig(stack, 1)
-    stream = CyclicStream(rig.drives, StreamSettings(0.001))
+    stream = CyclicStream(rig.drives, SetPointSettings(0.001))
     stream.__enter__()
     for cycle in range(200):
         stream.cycle([0.1 * cycle])
@@ -261,7 +261,7 @@ def test_a_master_that_dies_while_streaming_leaves_a_safe_axis(stack: ExitStack)
 
 def test_two_streams_cannot_share_a_drive(stack: ExitStack) -> None:
     rig = _rig(stack, 1)
-    settings = StreamSettings(0.001)
+    settings = SetPointSettings(0.001)
     with CyclicStream(rig.drives, settings) as stream:
         stream.cycle([0.0])
         with pytest.raises(StateError, match="streaming already"), CyclicStream(rig.drives, settings):

@@ -12,7 +12,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
-from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream, StreamSettings
+from drivers.canopen.stream import FOREIGN_SYNCS, CyclicStream
 from drivers.canopen.sync import LISTEN_S, SYNC_SILENCE_S
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
@@ -20,6 +20,7 @@ from drivers.drive import DriveState
 from drivers.errors import BridgeError, InputError, SafetyError, StateError, UndoError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_dictionary import RefusedError
 
@@ -91,7 +92,7 @@ def test_a_look_at_a_neighbour_on_the_same_link_sends_nothing_into_a_stream(
     bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive]
 ) -> None:
     x, y = pair
-    with CyclicStream([x], StreamSettings(0.01)) as stream:
+    with CyclicStream([x], SetPointSettings(0.01)) as stream:
         start = len(bus.syncs)
         bus.tpdos.clear()
         for cycle in range(40):
@@ -108,7 +109,7 @@ def test_a_look_at_a_neighbour_on_the_same_link_sends_nothing_into_a_stream(
 def test_a_neighbour_moves_and_is_watched_while_the_other_streams(pair: tuple[CanOpenDrive, CanOpenDrive]) -> None:
     x, y = pair
     y.start_move(5.0, 100.0)
-    with CyclicStream([x], StreamSettings(0.01)) as stream:
+    with CyclicStream([x], SetPointSettings(0.01)) as stream:
         for cycle in range(60):
             stream.cycle([0.5 * cycle])
             y.sample()
@@ -124,7 +125,7 @@ def test_a_neighbour_whose_tpdos_cannot_be_switched_off_counts_in_the_load(perio
     drives = bus.drive(X, link), bus.drive(Y, link)
     bus.bench.slaves[Y].dictionary.lock(0x1800, 1)
     drives[0].enable()
-    stream = CyclicStream([drives[0]], StreamSettings(period_s))
+    stream = CyclicStream([drives[0]], SetPointSettings(period_s))
     if period_s < 0.001:
         with pytest.raises(InputError, match="SYNC and PDOs need"), stream:
             pytest.fail("entered")
@@ -139,7 +140,7 @@ def test_a_neighbour_whose_tpdos_cannot_be_switched_off_counts_in_the_load(perio
 def test_a_look_from_another_program_sends_nothing_into_a_stream(bus: Bus) -> None:
     x, y = bus.drive(X, bus.link()), bus.drive(Y, bus.link())
     x.enable()
-    with CyclicStream([x], StreamSettings(0.004)) as stream:
+    with CyclicStream([x], SetPointSettings(0.004)) as stream:
         start = len(bus.syncs)
         bus.tpdos.clear()
         for cycle in range(250):
@@ -147,7 +148,7 @@ def test_a_look_from_another_program_sends_nothing_into_a_stream(bus: Bus) -> No
             if cycle % 12 == 0:
                 bus.clock.sleep_s(0.0013)
                 y.sample()
-        assert stream.counters.foreign_syncs == 0
+        assert stream.foreign_syncs == 0
     assert bus.gaps_ms(start) == {4.0}
     assert bus.tpdos[Y] <= 2  # to the first SYNC, which nobody announced
 
@@ -202,13 +203,13 @@ def test_one_that_looks_leaves_sync_to_a_stream_that_begins(bus: Bus) -> None:
     y, x = bus.drive(Y, links[0]), bus.drive(X, links[1])
     assert (bus.syncs_of(y.sample), bus.syncs_of(x.sample)) == (1, 0)
     x.enable()
-    with CyclicStream([x], StreamSettings(0.004)) as stream:
+    with CyclicStream([x], SetPointSettings(0.004)) as stream:
         start = len(bus.syncs)
         for cycle in range(100):
             stream.cycle([0.02 * cycle])
             if cycle % 12 == 0:
                 y.sample()
-        assert stream.counters.foreign_syncs == 0
+        assert stream.foreign_syncs == 0
     assert bus.gaps_ms(start) == {4.0}
 
 
@@ -235,7 +236,7 @@ def _foreign_syncs(bus: Bus, count: int, period_s: float) -> None:
 def test_a_second_producer_ends_the_stream(bus: Bus, period_s: float) -> None:
     x = bus.drive(X, bus.link())
     x.enable()
-    stream = CyclicStream([x], StreamSettings(0.004))
+    stream = CyclicStream([x], SetPointSettings(0.004))
 
     def run() -> None:
         with stream:
@@ -245,18 +246,18 @@ def test_a_second_producer_ends_the_stream(bus: Bus, period_s: float) -> None:
 
     with pytest.raises(SafetyError, match="a second SYNC producer is on the bus"):
         run()
-    assert stream.counters.foreign_syncs == FOREIGN_SYNCS + 1
+    assert stream.foreign_syncs == FOREIGN_SYNCS + 1
     assert bus.bench.slaves[X].profile.state is not DriveState.ENABLED
 
 
 def test_a_few_foreign_syncs_are_counted_and_lived_with(bus: Bus) -> None:
     x = bus.drive(X, bus.link())
     x.enable()
-    with CyclicStream([x], StreamSettings(0.004)) as stream:
+    with CyclicStream([x], SetPointSettings(0.004)) as stream:
         _foreign_syncs(bus, FOREIGN_SYNCS, 0.05)
         for _ in range(100):
             stream.cycle([0.0])
-    assert stream.counters.foreign_syncs == FOREIGN_SYNCS
+    assert stream.foreign_syncs == FOREIGN_SYNCS
     assert x.sample().state is DriveState.ENABLED
 
 
@@ -267,7 +268,7 @@ def test_a_stream_does_not_begin_beside_another_programs(bus: Bus) -> None:
     bus.clock.sleep_s(0.03)
     with (
         pytest.raises(StateError, match="another program streams on this bus"),
-        CyclicStream([y], StreamSettings(0.01)),
+        CyclicStream([y], SetPointSettings(0.01)),
     ):
         pytest.fail("entered")
     assert y.sample().state is DriveState.ENABLED
@@ -305,7 +306,7 @@ SYNC_PERIOD, MODE = (0x1006, 0), (0x6060, 0)
 
 
 def _streaming(*drives: CanOpenDrive) -> CyclicStream:
-    stream = CyclicStream(drives, StreamSettings(0.01))
+    stream = CyclicStream(drives, SetPointSettings(0.01))
     stream.__enter__()
     stream.cycle([0.0] * len(drives))
     return stream
@@ -359,7 +360,7 @@ def _without_power_or_stream(bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive]) 
 def test_an_interrupt_while_a_stream_is_entered_tells_the_drives_to_stop_before_they_are_put_back(
     bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], key: tuple[int, int]
 ) -> None:
-    stream = CyclicStream(pair, StreamSettings(0.01))
+    stream = CyclicStream(pair, SetPointSettings(0.01))
     assert _told_first(bus, Y, key, stream.__enter__) == {X, Y}
     _without_power_or_stream(bus, pair)
 
@@ -374,7 +375,7 @@ def test_a_stream_that_cannot_be_entered_leaves_every_axis_as_it_was(
     }
     with (
         pytest.raises(StateError, match="drive Y cannot stream: it is switch on disabled"),
-        CyclicStream([x, y], StreamSettings(0.01)),
+        CyclicStream([x, y], SetPointSettings(0.01)),
     ):
         pytest.fail("entered")
     assert x.sample().state is DriveState.ENABLED
@@ -391,7 +392,7 @@ def test_what_fails_while_an_error_leads_out_of_a_stream_is_told_with_it(
     x, y = pair
 
     def run() -> None:
-        with CyclicStream([x, y], StreamSettings(0.01)) as stream:
+        with CyclicStream([x, y], SetPointSettings(0.01)) as stream:
             for cycle in range(20):
                 stream.cycle([0.5 * cycle, 0.5 * cycle])
             _raising(bus, Y, SYNC_PERIOD, RefusedError(0x08000022))
@@ -414,7 +415,7 @@ def test_what_a_stream_wrote_for_itself_is_put_back_when_the_drive_is_closed(bus
     before = [dictionary.number(*key) for key in kept]
     x = bus.drive(X, bus.link())
     x.enable()
-    with CyclicStream([x], StreamSettings(0.007)) as stream:
+    with CyclicStream([x], SetPointSettings(0.007)) as stream:
         stream.cycle([0.0])
         assert [dictionary.number(*key) for key in kept] != before
     x.close()

@@ -594,7 +594,7 @@ def test_disabling_in_a_stream_brings_the_axis_to_rest_first() -> None:
         settings = SetPointSettings(0.02, following_error_mm=5.0)
         with drive.stream(settings) as stream:
             for step in range(30):
-                stream.cycle(0.5 * step)
+                stream.cycle([0.5 * step])
             speeds, start_ns = off_at(r), r.clock.now_ns()
             drive.disable()
             assert r.clock.now_ns() - start_ns < 2_000_000_000

@@ -37,11 +37,12 @@ if not __package__:
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.cia402.power import PowerTimes
 from drivers.errors import BridgeError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.rise import TWO_TANH, Rise
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
@@ -232,29 +233,30 @@ class Shift:
             "velocity_mm_s": 7.0,
         }
         points = state.stream(known)
-        with CyclicStream([drive], StreamSettings(PERIOD_S, following_error_mm=5.0)) as stream:
+        with CyclicStream([drive], SetPointSettings(PERIOD_S, following_error_mm=5.0)) as stream:
             while (now_s := self.clock.now_ns() * 1e-9) < self.seconds:
                 behind_mm *= 0.98
                 target_mm = path_mm(now_s + PERIOD_S) + behind_mm
                 known["time_s"] = now_s
                 command_mm = points.command_mm(target_mm)
-                before = listener.feedback
+                before, late_before = listener.feedback, stream.late_feedback
                 account.cycles += 1
                 try:
-                    (feedback,) = stream.cycle([command_mm])
+                    (place_mm,) = stream.cycle([command_mm])
                 except BaseException:
                     account.ended += 1
                     account.spare_feedback += listener.feedback - before
                     raise
                 points.issued()
                 came = listener.feedback - before
-                account.late += feedback.late
-                account.fresh += not feedback.late
-                account.spare_feedback += came if feedback.late else max(0, came - 1)
-                account.missing_feedback += not feedback.late and came == 0
+                late = stream.late_feedback > late_before
+                account.late += late
+                account.fresh += not late
+                account.spare_feedback += came if late else max(0, came - 1)
+                account.missing_feedback += not late and came == 0
                 account.unlike += listener.set_point_counts != round(command_mm * COUNTS_PER_MM)
-                if stream.counters.cycles % JOURNALED_EVERY == 0:
-                    self._journal(target_mm, command_mm, feedback.position_load_mm, now_s)
+                if stream.cycles % JOURNALED_EVERY == 0:
+                    self._journal(target_mm, command_mm, place_mm, now_s)
 
     def _journal(self, target_mm: float, command_mm: float, measured_mm: float, time_s: float) -> None:
         history = self.state.known_history

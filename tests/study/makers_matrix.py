@@ -354,7 +354,7 @@ class Trial:
             with drive.stream(SetPointSettings(period_s=period_s)) as stream:
                 for number in range(300):
                     phase = min(1.0, number / 250)
-                    stream.cycle(start + reach * (1 - math.cos(math.tau * phase)))
+                    stream.cycle([start + reach * (1 - math.cos(math.tau * phase))])
                     places.append(self.shaft_mm())
         except CapabilityError as error:
             self.row.reasons.append(f"streams: {error}")

@@ -248,7 +248,7 @@ def _stream(drive: ServoDrive) -> None:
     here = drive.sample().position_load_mm
     with drive.stream(SetPointSettings(0.05, following_error_mm=50.0, missed_limit=1000)) as stream:
         while True:
-            stream.cycle(here)
+            stream.cycle([here])
 
 
 def _watch(drive: ServoDrive) -> None:

@@ -11,10 +11,11 @@ from contextlib import contextmanager
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.node import NmtCommand, NodeMonitor
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.cia402.modes import Mode
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_wire import Node
 
@@ -161,7 +162,7 @@ def test_a_fault_an_emergency_and_its_reset() -> None:
 def test_a_streaming_cycle() -> None:
     with _rig(heartbeat_s=None) as (_, drive, spy), drive:
         drive.enable()
-        with CyclicStream([drive], StreamSettings(0.002)) as stream:
+        with CyclicStream([drive], SetPointSettings(0.002)) as stream:
             stream.cycle([0.0])
             stream.cycle([0.0])
             spy.take()

@@ -162,7 +162,7 @@ def _stream(
     with ExitStack() as stack:
         stack.enter_context(first.supervisor.stopping_on_error())
         found = [stack.enter_context(axis.axis.following()) for axis in axes]
-        stream = stack.enter_context(first.drive.stream_with(others, SetPointSettings(period_s)))
+        stream = stack.enter_context(first.drive.stream(SetPointSettings(period_s), others))
         for index, (targets, feed) in enumerate(circle.path(period_s)):
             commands = [
                 axis.set_point(own, target, feed, across_um=across_um)

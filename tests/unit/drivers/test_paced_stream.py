@@ -9,14 +9,13 @@ import pytest
 from drivers.drive import DriveSample, DriveState
 from drivers.errors import BridgeError, LimitError, NoAnswerError, StateError, UndoError
 from drivers.limits import DriveLimits
-from drivers.paced_stream import PacedGroup
+from drivers.paced_stream import PacedStream
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.servo import ServoParameters, SimulatedServo
 from sim_backends.virtual_drive import VirtualDrive
-from sim_backends.virtual_faces import VirtualStream
 
 LIMITS = DriveLimits(-3.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)
 SETTINGS = SetPointSettings(0.01, following_error_mm=5.0)
@@ -61,7 +60,7 @@ def state(drive: Drive) -> DriveState:
 def test_a_group_is_told_to_stop_before_any_of_it_is_waited_for(axes: tuple[Drive, Drive]) -> None:
     x, y = axes
     x.fails = NoAnswerError("X does not answer")
-    with pytest.raises(LimitError) as caught, PacedGroup([x, y], SETTINGS) as group:
+    with pytest.raises(LimitError) as caught, PacedStream([x, y], SETTINGS) as group:
         group.cycle([0.1, 301.0])
     assert x.log == ["X stop", "Y stop", "X stop awaited", "X stop", "Y stop awaited", "Y stop"]
     assert caught.value.__notes__ == ["X does not answer"]
@@ -71,7 +70,7 @@ def test_a_group_is_told_to_stop_before_any_of_it_is_waited_for(axes: tuple[Driv
 def test_a_group_of_which_one_cannot_be_entered_stops_the_others(axes: tuple[Drive, Drive]) -> None:
     x, y = axes
     y.disable()
-    with pytest.raises(StateError, match="drive Y cannot stream"), PacedGroup([x, y], SETTINGS):
+    with pytest.raises(StateError, match="drive Y cannot stream"), PacedStream([x, y], SETTINGS):
         pytest.fail("entered")
     assert (state(x), state(y)) == (DriveState.QUICK_STOP, DriveState.SWITCH_ON_DISABLED)
     assert not any("Y" in line for line in x.log)
@@ -83,24 +82,24 @@ def test_all_axes_of_a_group_are_put_back_although_one_cannot_be(
     x, y = axes
     ended: list[str] = []
 
-    def end(stream: VirtualStream) -> None:
-        ended.append(stream.drive.name)
-        if stream.drive is x:
+    def end(drive: Drive) -> None:
+        ended.append(drive.name)
+        if drive is x:
             raise NoAnswerError("mode not changed")
 
-    monkeypatch.setattr(VirtualStream, "_end", end)
-    with pytest.raises(NoAnswerError, match="mode not changed"), PacedGroup([x, y], SETTINGS) as group:
+    monkeypatch.setattr(Drive, "end_stream", end)
+    with pytest.raises(NoAnswerError, match="mode not changed"), PacedStream([x, y], SETTINGS) as group:
         group.cycle([0.1, 0.1])
     assert ended == ["X", "Y"]
     assert (state(x), state(y)) == (DriveState.QUICK_STOP, DriveState.ENABLED)
 
 
 def test_what_fails_of_a_group_is_told_together(axes: tuple[Drive, Drive], monkeypatch: pytest.MonkeyPatch) -> None:
-    def end(stream: VirtualStream) -> None:
-        raise NoAnswerError(f"{stream.drive.name} not put back")
+    def end(drive: Drive) -> None:
+        raise NoAnswerError(f"{drive.name} not put back")
 
-    monkeypatch.setattr(VirtualStream, "_end", end)
-    with pytest.raises(UndoError, match="X not put back; Y not put back"), PacedGroup(axes, SETTINGS) as group:
+    monkeypatch.setattr(Drive, "end_stream", end)
+    with pytest.raises(UndoError, match="X not put back; Y not put back"), PacedStream(axes, SETTINGS) as group:
         group.cycle([0.1, 0.1])
     assert {state(drive) for drive in axes} == {DriveState.QUICK_STOP}
 
@@ -116,9 +115,9 @@ def test_a_stream_that_was_stopped_is_not_put_back_under_power(axes: tuple[Drive
     x, _ = axes
     with x.stream(SETTINGS) as stream:
         with pytest.raises(LimitError):
-            stream.cycle(301.0)
+            stream.cycle([301.0])
         with pytest.raises(StateError, match="is not running"):
-            stream.cycle(0.1)
+            stream.cycle([0.1])
     assert state(x) is DriveState.QUICK_STOP
     assert x.log == ["X stop", "X stop awaited", "X stop"]
 
@@ -126,7 +125,7 @@ def test_a_stream_that_was_stopped_is_not_put_back_under_power(axes: tuple[Drive
 def test_a_clean_end_holds_the_axis(axes: tuple[Drive, Drive]) -> None:
     x, _ = axes
     with x.stream(SETTINGS) as stream:
-        stream.cycle(0.1)
+        stream.cycle([0.1])
     assert state(x) is DriveState.ENABLED
     assert x.log == []
 

@@ -17,7 +17,7 @@ from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.sdo import SdoClient
-from drivers.canopen.stream import CyclicStream, StreamSettings
+from drivers.canopen.stream import CyclicStream
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
 from drivers.cia402.motion_parts import MoveOrder
@@ -36,6 +36,7 @@ from drivers.errors import (
 )
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from drivers.shutdown import HALT_TAKEN_S, LOOK_S, share_time
 from drivers.standstill import STILL_MM_S, STILL_S, Standstill
 from drivers.undo import undo_all
@@ -372,7 +373,7 @@ def test_a_stop_in_the_middle_of_a_cycle_is_not_undone_by_the_set_point_that_wai
             drive.send_stop()
 
     def run() -> None:
-        with CyclicStream([drive], StreamSettings(period_s)) as stream:
+        with CyclicStream([drive], SetPointSettings(period_s)) as stream:
             for cycle in range(60):
                 if cycle == 40:
                     at_ns[0] = rig.clock.now_ns() + round(share * period_s * 1e9) + 1
@@ -404,7 +405,7 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
     words: list[int] = []
 
     def run() -> None:
-        with CyclicStream([drive], StreamSettings(0.01)) as stream:
+        with CyclicStream([drive], SetPointSettings(0.01)) as stream:
             for cycle in range(20):
                 stream.cycle([0.5 * cycle])
             (axis,) = stream._axes
@@ -434,7 +435,7 @@ def test_an_axis_that_something_else_disables_in_a_stream_stays_disabled(make: M
     states: list[DriveState] = []
 
     def run() -> None:
-        with CyclicStream([drive], StreamSettings(0.01)) as stream:
+        with CyclicStream([drive], SetPointSettings(0.01)) as stream:
             for cycle in range(60):
                 if cycle == 40:
                     rig.bench.slave.dictionary.write(0x6040, 0, b"\x06\x00")
@@ -824,7 +825,7 @@ def test_leaving_a_stream_of_two_axes_that_are_dead_is_part_of_the_way_out(kind:
     pair = Pair(CanFault(kind, at_s=FAULT_AT_S))
     with pair.link:
         try:
-            with CyclicStream(pair.drives, StreamSettings(0.01)) as stream:
+            with CyclicStream(pair.drives, SetPointSettings(0.01)) as stream:
                 while pair.clock.now_ns() < (FAULT_AT_S + 0.1) * 1e9:
                     stream.cycle([0.0, 0.0])
                 raise BridgeError("the measurement failed")
@@ -837,7 +838,7 @@ def test_a_slow_drive_does_not_leave_its_neighbour_waiting_for_sync_at_the_end_o
     """Both watch for SYNC, which ends with the stream; an SDO answer takes 40 ms, ten periods."""
     pair = Pair(CanFault(K.SDO_LATE, at_s=FAULT_AT_S, size=0.04))
     with pair.link:
-        with CyclicStream(pair.drives, StreamSettings(0.004)) as stream:
+        with CyclicStream(pair.drives, SetPointSettings(0.004)) as stream:
             while pair.clock.now_ns() < (FAULT_AT_S + 0.1) * 1e9:
                 stream.cycle([0.0, 0.0])
         pair.clock.sleep_s(0.5)
