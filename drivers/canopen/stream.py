@@ -226,7 +226,7 @@ class CyclicStream(SetPointStream):
         try:
             self._end_when_stopped()
             for axis, place_mm in zip(axes, positions_load_mm, strict=False):
-                axis.planned = axis.counts_of(place_mm)
+                axis.plan(place_mm)
             self._exchange()
             self.cycles += 1
             if not self.link.wait(self._all_answered, self._feedback_s):
@@ -262,7 +262,8 @@ class CyclicStream(SetPointStream):
         else:
             self._missed_in_a_row = 0
         for axis in self._axes:
-            link.send_message(axis.set_point())
+            axis.next_counts = axis.planned_counts
+            link.send_message(axis.message)
         self._end_when_stopped()  # before SYNC: a stop that came just now was sent before the set-point, which would cancel it
         clock.sleep_until_ns(self.reached_ns)
         link.poll()  # late frames belong to the cycle before

@@ -77,7 +77,7 @@ class Axis:
         self.heard_ns = 0
         self.fresh = False  # whether the answer to the last SYNC was received
         self.late_in_a_row = 0
-        self.planned = 0  # checked, sent next
+        self.planned_counts = 0  # checked, sent next
         self.demand_counts = 0  # in force at the last SYNC
         self.next_counts = 0  # sent for the next one
         self.sync_period_before: int | None = None
@@ -96,16 +96,6 @@ class Axis:
             self.heard_ns = time_ns
             self.fresh = True
 
-    def set_point(self) -> can.Message:
-        """The RPDO with the planned set-point; one message object, filled anew each time."""
-        self.next_counts = self.planned
-        message = self.message
-        if self.commanding:
-            self._pack_into(message.data, 0, self._run, self.planned)
-        else:
-            self._pack_into(message.data, 0, self.planned)
-        return message
-
     def command(self, controlword: int) -> can.Message | None:
         """A command that stops the axis, as the RPDO of this axis: a message object of its own, as any thread may send it. None where
         the RPDO carries no controlword. The target is the last one.
@@ -116,8 +106,8 @@ class Axis:
         return can.Message(arbitration_id=self.rpdo.cob_id, data=data, is_extended_id=False)
 
     # -- set-points ------------------------------------------------------------------------------------------------------
-    def counts_of(self, position_load_mm: float) -> int:
-        """Load mm -> counts. Raises LimitError for a position outside the travel, or too far from the last one."""
+    def plan(self, position_load_mm: float) -> None:
+        """Put the next set-point, load mm, into `message`. Raises LimitError for one outside the travel, or too far from the last."""
         if not self.travel_min_mm <= position_load_mm <= self.travel_max_mm:
             self.limits.check_target(position_load_mm)
         counts = round(position_load_mm * self.counts_per_mm)
@@ -127,7 +117,11 @@ class Axis:
                 f"drive {self.node.name}: step of {step_mm:.6f} mm in one cycle is {step_mm / self.settings.period_s:g} mm/s,"
                 f" allowed are {self.limits.max_velocity_mm_s:g} mm/s"
             )
-        return counts
+        self.planned_counts = counts
+        if self.commanding:
+            self._pack_into(self.message.data, 0, self._run, counts)
+        else:
+            self._pack_into(self.message.data, 0, counts)
 
     # -- feedback --------------------------------------------------------------------------------------------------------
     def explain_error(self) -> FollowingErrorError:
