@@ -13,7 +13,7 @@ from typing import Any
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.node import HEARTBEAT, NmtState
-from drivers.canopen.sdo import SdoClient, most_bytes, read_together
+from drivers.canopen.sdo import SdoClient, most_bytes
 from drivers.canopen.side_by_side import CanLine
 from drivers.cia402 import objects
 from drivers.cia402.state_machine import decode_state
@@ -157,31 +157,29 @@ def _ask(link: CanLink, node_ids: Sequence[int], timeout_s: float) -> dict[int, 
         SdoClient(link, node_id, f"node {node_id}", timeout_s=timeout_s, quiet_s=_QUIET_S) for node_id in node_ids
     ]
     try:
-        answers = read_together([(client, cia301.DEVICE_TYPE) for client in clients], timeout_s)
-        there = [
-            (client, answer if isinstance(answer, int) else None)
-            for client, answer in zip(clients, answers, strict=True)
-            if not isinstance(answer, NoAnswerError)
-        ]
-        found = CanLine(link).run([_details(client, device_type) for client, device_type in there])
-        found += [
-            FoundNode(client.node_id, problem=str(answer))
-            for client, answer in zip(clients, answers, strict=True)
-            if isinstance(answer, OtherAnswerError)
-        ]
+        answers = CanLine(link).run([_node(client) for client in clients])
     finally:
         for client in clients:
             client.close()
     nodes: dict[int, FoundNode] = {}
-    for node in found:
+    for node in answers:
         if isinstance(node, BridgeError):
             raise node
-        nodes[node.node_id] = node
+        if node is not None:
+            nodes[node.node_id] = node
     return nodes
 
 
-def _details(client: SdoClient, device_type: int | None) -> Steps[FoundNode]:
-    """Further objects of a node; after a missing answer it is asked no more. Raises LinkLostError."""
+def _node(client: SdoClient) -> Steps[FoundNode | None]:
+    """What a node tells, None where it does not answer; after a missing answer it is asked no more. Raises LinkLostError."""
+    try:
+        device_type = yield from client.getting(cia301.DEVICE_TYPE, once=True)
+    except OtherAnswerError as error:
+        return FoundNode(client.node_id, problem=str(error))
+    except NoAnswerError:
+        return None
+    except (AbortError, ProtocolError):
+        device_type = None
     wanted = dict(_IDENTITY)
     if device_type is not None and device_type & 0xFFFF == _DRIVE_PROFILE:
         wanted |= _DRIVE

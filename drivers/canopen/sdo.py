@@ -1,7 +1,6 @@
 """SDO client of one node: guarded against late answers, lost writes and a server that stops in the middle of a transfer.
 
-`SdoClient` serves one node over a `CanLink`, `read_together` asks several nodes at once; `side_by_side` keeps the channels of several
-nodes busy with separate work.
+`SdoClient` serves one node over a `CanLink`; `side_by_side` keeps the channels of several nodes busy at once.
 An answer counts only when it names the index that was requested. After a time-out the channel must be silent before it is used
 again. A write whose answer was lost is resolved by reading back all of it, never by sending it a second time.
 Every transfer has two deadlines that other traffic on the channel does not extend: `timeout_s` from the last answer that continued it,
@@ -170,18 +169,6 @@ class Running(Generic[T]):
         return self.result
 
 
-@dataclass(frozen=True)
-class Meant:
-    """What a write was to do, for the case that its answer is lost.
-
-    reads_back: the object shows what was written; a command such as 1010h does not. same: as of `SdoClient.write_bytes`."""
-
-    talk: Conversation
-    data: bytes
-    reads_back: bool
-    same: Same
-
-
 class SdoClient:
     """The default SDO channel of one node (CiA-301, 7.2.4).
 
@@ -254,9 +241,10 @@ class SdoClient:
         """Read an integer object. Raises AbortError, NoAnswerError, ProtocolError, LinkLostError."""
         return self.run(self.getting(entry))
 
-    def getting(self, entry: Entry) -> Steps[int]:
-        """As `read`."""
-        value = entry.unpack((yield from self.reading(self.index_of(entry), entry.subindex, most_bytes(entry))))
+    def getting(self, entry: Entry, *, once: bool = False) -> Steps[int]:
+        """As `read`. once: not repeated."""
+        data = yield from self.reading(self.index_of(entry), entry.subindex, most_bytes(entry), once=once)
+        value = entry.unpack(data)
         if not isinstance(value, int):
             raise ProtocolError(f"{self.name}: {entry} is no integer: {value!r}")
         return value
@@ -345,12 +333,27 @@ class SdoClient:
                 if isinstance(step, Pause):
                     self.link.wait(step.done, step.duration_s)
                 elif isinstance(step, Running):
-                    _run_together([step])
+                    self._carry_out(step)
+
+    def _carry_out(self, running: Running[Any]) -> None:
+        """Run a transfer until it is finished or its time is over. Raises LinkLostError, StateError where the channel is in use."""
+        try:
+            self.begin(running)
+        except (TransportError, ProtocolError) as error:
+            running.fail(error)
+            return
+        try:
+            while not running.finished:
+                wait_for_any(self.link, [running])
+        finally:
+            self.end()
 
     # -- bytes, as steps: for this client alone, or side by side with the work of other nodes (`CanLine`) -----------------
-    def reading(self, index: int, subindex: int, most: int = LARGEST_ANNOUNCED, *, block: bool = False) -> Steps[bytes]:
-        """As `read_bytes`."""
-        repeated = self.way_out is None or self.way_out.repeats(1, silent=self._silent)
+    def reading(
+        self, index: int, subindex: int, most: int = LARGEST_ANNOUNCED, *, block: bool = False, once: bool = False
+    ) -> Steps[bytes]:
+        """As `read_bytes`. once: not repeated."""
+        repeated = not once and (self.way_out is None or self.way_out.repeats(1, silent=self._silent))
         for last in (False, True) if repeated else (True,):
             talk = Conversation(index, subindex)
             running = Running(self, talk, block_upload(talk, most=most) if block else upload(talk, most))
@@ -373,35 +376,31 @@ class SdoClient:
         reads_back: bool = True,
         same: Same = operator.eq,
     ) -> Steps[None]:
-        """As `write_bytes`."""
+        """As `write_bytes`. reads_back: the object shows what was written; a command such as 1010h does not."""
         talk = Conversation(index, subindex)
         running = Running(self, talk, block_download(talk, data) if block else download(talk, data), timeout_s)
         yield from self._turn(running)
-        if isinstance(running.error, NoAnswerError):
-            yield from self._resolved(Meant(talk, data, reads_back, same), running.error)
-        else:
+        lost = running.error
+        if not isinstance(lost, NoAnswerError):
             running.outcome()
+            return
+        with self._unknown(lost), self._late_answers() as late:
+            yield from self._quiet()
+        if self._settled(talk, data, lost, late):
+            return
+        if not reads_back:
+            raise type(lost)(f"{lost}; whether it was done is unknown") from lost
+        with self._unknown(lost):
+            present = yield from self.reading(index, subindex)
+        if not same(present, data):
+            raise type(lost)(f"{lost}; it reads back {present.hex()}, not {data.hex()}: not written") from lost
+        self.counters.writes_read_back += 1
 
     def _turn(self, running: Running[Any]) -> Steps[None]:
         yield from self._quiet()
         yield running
 
     # -- writes whose answer was lost ----------------------------------------------------------------------------------
-    def resolve(self, meant: Meant, lost: NoAnswerError) -> None:
-        """Find out whether a write without an answer was carried out. Returns when it was; raises AbortError, NoAnswerError."""
-        self.run(self._resolved(meant, lost))
-
-    def _resolved(self, meant: Meant, lost: NoAnswerError) -> Steps[None]:
-        with self._unknown(lost), self._late_answers() as late:
-            yield from self._quiet()
-        if self._settled(meant, lost, late):
-            return
-        with self._unknown(lost):
-            present = yield from self.reading(meant.talk.index, meant.talk.subindex)
-        if not meant.same(present, meant.data):
-            raise type(lost)(f"{lost}; it reads back {present.hex()}, not {meant.data.hex()}: not written") from lost
-        self.counters.writes_read_back += 1
-
     @contextlib.contextmanager
     def _late_answers(self) -> Iterator[list[bytes]]:
         answers: list[bytes] = []
@@ -419,12 +418,9 @@ class SdoClient:
         except (RemoteError, NoAnswerError) as error:
             raise type(lost)(f"{lost}; whether it was written is unknown ({error})") from lost
 
-    def _settled(self, meant: Meant, lost: NoAnswerError, late: Sequence[bytes]) -> bool:
+    def _settled(self, talk: Conversation, data: bytes, lost: NoAnswerError, late: Sequence[bytes]) -> bool:
         """Whether a late answer confirms the write; a late refusal is raised. Only an expedited write has a single answer."""
-        talk = meant.talk
-        for answer in late:
-            if not 0 < len(meant.data) <= 4:
-                continue
+        for answer in late if 0 < len(data) <= 4 else ():
             if len(answer) == 8 and answer[1:4] == talk.mux and answer[0] == 0x60:
                 self.counters.writes_confirmed_late += 1
                 return True
@@ -432,22 +428,15 @@ class SdoClient:
                 talk.raise_abort(answer)
             except AbortError as error:
                 raise self.named(error) from lost
-        if not meant.reads_back:
-            raise type(lost)(f"{lost}; whether it was done is unknown") from lost
         return False
 
     # -- the channel -------------------------------------------------------------------------------------------------
-    def quieten(self) -> None:
+    def _quiet(self) -> Iterator[Pause]:
         """Wait until no frame that could belong to an abandoned transfer has come for `quiet_s`.
 
-        Raises ProtocolError where that does not come within `QUIET_TIMES` + 2 times `quiet_s`. Returns at once where no transfer was
+        Raises ProtocolError where that does not come within `QUIET_TIMES` + 2 times `quiet_s`. Ends at once where no transfer was
         abandoned.
         """
-        for pause in self._quiet():
-            self.link.wait(pause.done, pause.duration_s)
-
-    def _quiet(self) -> Iterator[Pause]:
-        """The waits of `quieten`, one after the other."""
         if self._abandoned is None:
             return
         heard = self._late_ns
@@ -474,7 +463,6 @@ class SdoClient:
         the time limit of shutting down, LinkLostError."""
         if self._running is not None:
             raise StateError(f"{self.name}: the SDO channel is already in use")
-        self.quieten()
         if self._gives_up:
             raise NoAnswerError(
                 f"{self.name}: SDO {running.talk.place()} was not tried: the drive has ceased to answer"
@@ -531,70 +519,3 @@ def wait_for_any(link: CanLink, waiting: Sequence[Awaited]) -> None:
     for each in waiting:
         if not each.finished and now_ns >= each.until_ns:
             each.expire()
-
-
-def _run_together(transfers: Sequence[Running[Any]]) -> None:
-    """Run transfers of *different* nodes side by side, each until it is finished or its time is over; one that does not begin has its
-    error. Raises LinkLostError, StateError where a channel is in use."""
-    begun: list[Running[Any]] = []
-    try:
-        for running in transfers:
-            try:
-                running.client.begin(running)
-            except (TransportError, ProtocolError) as error:
-                running.fail(error)
-            else:
-                begun.append(running)
-        while waiting := [running for running in begun if not running.finished]:
-            wait_for_any(waiting[0].client.link, waiting)
-    finally:
-        for running in begun:
-            running.client.end()
-
-
-def read_together(requests: Sequence[tuple[SdoClient, Entry]], timeout_s: float = 0.5) -> list[int | BridgeError]:
-    """Read one integer object from each of several nodes at once: N nodes cost little more wire time than one.
-
-    Results in the order of the requests: the value, or the error of this node.
-    """
-    transfers: list[Running[bytes]] = []
-    for client, entry in requests:
-        talk = Conversation(entry.index, entry.subindex)
-        transfers.append(Running(client, talk, upload(talk, most_bytes(entry)), timeout_s))
-    _run_together(transfers)
-    results: list[int | BridgeError] = []
-    for running, (client, entry) in zip(transfers, requests, strict=True):
-        if running.error is not None:
-            results.append(running.error)
-            continue
-        try:
-            value = entry.unpack(running.result or b"")
-        except ProtocolError as error:
-            results.append(client.named(error))
-            continue
-        results.append(value if isinstance(value, int) else ProtocolError(f"{client.name}: {entry} is no integer"))
-    return results
-
-
-def write_together(requests: Sequence[tuple[SdoClient, Entry, int]]) -> list[BridgeError | None]:
-    """Write one integer object to each of several nodes, all requests on the wire before an answer is awaited.
-
-    The error of each request stands in its place, as of `SdoClient.write`; None where the value was taken.
-    """
-    writes: list[tuple[Running[None], Meant]] = []
-    for client, entry, value in requests:
-        data, talk = entry.pack(value), Conversation(entry.index, entry.subindex)
-        writes.append((Running(client, talk, download(talk, data)), Meant(talk, data, True, entry.same)))
-    _run_together([running for running, _ in writes])
-    errors: list[BridgeError | None] = []
-    for running, meant in writes:
-        try:
-            if isinstance(running.error, NoAnswerError):
-                running.client.resolve(meant, running.error)
-            else:
-                running.outcome()
-        except BridgeError as error:
-            errors.append(error)
-        else:
-            errors.append(None)
-    return errors

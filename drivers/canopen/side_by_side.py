@@ -85,11 +85,12 @@ class CanLine(Line):
                 return
 
     def _begin(self, running: Running[Any]) -> bool:
-        """Send a transfer's first frame; False when it has ended already."""
+        """Send a transfer's first frame; False when it has ended already, or not begun."""
         try:
             running.client.begin(running)
         except BridgeError as error:
             self._fail(running, error)
+            return False
         if running.finished:
             running.client.end()
         return not running.finished

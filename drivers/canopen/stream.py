@@ -17,9 +17,10 @@ from typing import Self
 import can
 
 from drivers.canopen import cia301
+from drivers.canopen.bus import CanLink
 from drivers.canopen.pdo import SYNC_EVERY
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
-from drivers.canopen.sdo import write_together
+from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.stopping import StoppableNode
 from drivers.canopen.stream_axis import RUNNING, RUNNING_MASK, Axis
 from drivers.canopen.sync import SYNC, SyncFollower
@@ -187,7 +188,7 @@ class CyclicStream(SetPointStream):
                 stack.enter_context(drive.way_out.step(last=False))
             undo_all(
                 [
-                    ("", partial(_unwatch_sync, [axis for _, axis in taken])),
+                    ("", partial(_unwatch_sync, self.link, [axis for _, axis in taken])),
                     ("", partial(self.link.unsubscribe, SYNC, self._on_sync)),
                     *(("", partial(self._give_back, drive, axis)) for drive, axis in taken),
                     ("", partial(self.link.sync.release, self)),
@@ -329,12 +330,12 @@ class CyclicStream(SetPointStream):
             raise axis.explain_status()
 
 
-def _unwatch_sync(axes: Sequence[Axis]) -> None:
+def _unwatch_sync(link: CanLink, axes: Sequence[Axis]) -> None:
     """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h)."""
     watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
     for axis, _ in watching:
         axis.sync_period_before = None
-    errors = write_together([(axis.node.sdo, cia301.SYNC_PERIOD, before) for axis, before in watching])
+    errors = CanLine(link).run([axis.node.sdo.putting(cia301.SYNC_PERIOD, before) for axis, before in watching])
     undo_all(
         [
             (f"drive {axis.node.name}: 1006h not put back", partial(_fail, error))

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
-from drivers.canopen.sdo import SdoClient, read_together
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.side_by_side import CanLine
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError, StateError
@@ -268,7 +269,7 @@ def test_many_nodes_are_read_in_the_time_of_few() -> None:
     with CanLink(bench.port(), bench.clock) as link:
         clients = [SdoClient(link, node_id, f"node {node_id}") for node_id in node_ids]
         start_ns = bench.clock.now_ns()
-        values = read_together([(client, cia301.SERIAL_NUMBER) for client in clients])
+        values = CanLine(link).run([client.getting(cia301.SERIAL_NUMBER) for client in clients])
         together_ns = bench.clock.now_ns() - start_ns
         assert values == [1000 + node_id for node_id in node_ids]
     wire_ns = bench.wire.busy_ns
@@ -279,7 +280,7 @@ def test_one_dead_node_does_not_stall_the_others() -> None:
     bench = CanBench((1, 2, 3), faults={2: [CanFault(CanFaultKind.NODE_DEAD)]})
     with CanLink(bench.port(), bench.clock) as link:
         clients = [SdoClient(link, node_id, f"node {node_id}") for node_id in (1, 2, 3)]
-        values = read_together([(client, cia301.DEVICE_TYPE) for client in clients])
+        values = CanLine(link).run([client.getting(cia301.DEVICE_TYPE) for client in clients])
         assert values[0] == values[2] == 0x20192
         assert isinstance(values[1], NoAnswerError)
         assert "node 2" in str(values[1])
@@ -289,6 +290,8 @@ def test_one_channel_carries_one_transfer() -> None:
     bench = CanBench((1,))
     with CanLink(bench.port(), bench.clock) as link:
         client = SdoClient(link, 1, "node 1")
-        with pytest.raises(StateError, match="already in use"):
-            read_together([(client, cia301.DEVICE_TYPE), (client, objects.STATUSWORD)])
+        first, second = CanLine(link).run([client.getting(cia301.DEVICE_TYPE), client.getting(objects.STATUSWORD)])
+        assert first == 0x20192
+        assert isinstance(second, StateError)
+        assert "already in use" in str(second)
         assert client.read(cia301.DEVICE_TYPE) == 0x20192

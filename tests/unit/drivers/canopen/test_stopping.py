@@ -409,14 +409,14 @@ def test_a_set_point_that_leaves_after_the_stop_does_not_undo_it(
             for cycle in range(20):
                 stream.cycle([0.5 * cycle])
             (axis,) = stream._axes
-            pack = axis.set_point
+            plan = axis.plan
 
-            def late() -> can.Message:
+            def late(position_load_mm: float) -> None:
+                plan(position_load_mm)
                 drive.send_stop()
                 rig.bench.slave.dictionary.on_write(0x6040, 0, words.append)
-                return pack()
 
-            monkeypatch.setattr(axis, "set_point", late)
+            monkeypatch.setattr(axis, "plan", late)
             stream.cycle([10.0])
 
     with pytest.raises(StateError, match="was told to stop while streaming"):
