@@ -7,12 +7,22 @@ the next motion, as on a real drive.
 from __future__ import annotations
 
 from collections.abc import Callable
-
-from sim_backends.servo_face import Mechanics
+from typing import Protocol
 
 SLOW_S, QUICK_S = 0.2, 0.01
 """Time over which the amount is added after a reversal, s: without and with the acceleration parameter."""
 _REVERSAL_COUNTS = 1.0  # motion of a motor at rest is smaller
+
+
+class Mechanics(Protocol):
+    """The load of the motor: a plant, or a load without errors."""
+
+    def step(self, motor_rev: float, dt_s: float) -> None:
+        """Turn the shaft to `motor_rev` revolutions within dt_s seconds."""
+
+    @property
+    def friction_permille(self) -> float:
+        """Torque it puts on the motor, 0.1 % of rated, with the sign of the motion it opposes."""
 
 
 class BacklashCompensation:

@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from sim_backends.canopen_drive import EDS, CanOpenSlave, attach_to_wire
+from sim_backends.canopen_drive import EDS, CanOpenSlave
 from sim_backends.canopen_faults import CanFault
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_store import Flash
 from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.clock import SimClock

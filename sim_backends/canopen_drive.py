@@ -1,30 +1,25 @@
 """A simulated CiA-402 drive on a CAN bus, over a simulated servo: its network functions (CiA-301).
 
-NMT, heartbeat, SYNC, EMCY and the ways to put the drive on a bus; SDO, PDO, dictionary and device profile have a
-module each. Frames come in through `on_frame`, time through `tick`, frames leave through `send`; there is no
+NMT, heartbeat, SYNC and EMCY; SDO, PDO, dictionary and device profile have a module each, `canopen_station` puts the drive on a bus.
+Frames come in through `on_frame`, time through `tick`, frames leave through `send`; there is no
 thread and no clock inside, so the same drive runs on the simulated wire, on python-can's virtual bus and on a real one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from enum import IntEnum
 from pathlib import Path
 
-import can
-
-from drivers.clock import Clock
-from drivers.errors import InputError, LinkLostError
+from drivers.errors import InputError
 from sim_backends.canopen_dictionary import Dictionary, Item, Key, RefusedError, load_items
-from sim_backends.canopen_faults import CanFault, FaultLayer
 from sim_backends.canopen_pdo_engine import PdoEngine
 from sim_backends.canopen_profile import DriveProfile
 from sim_backends.canopen_sdo_server import SdoServer
 from sim_backends.canopen_store import Flash, ParameterStore
 from sim_backends.canopen_table import TableObjects, table_items
-from sim_backends.canopen_wire import SimWire
 from sim_backends.own_table import TableForm
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 EDS = Path(__file__).with_name("servo_drive.eds")
 PDO_LENGTH_ERROR = 0x8210
@@ -33,7 +28,9 @@ SYNC_ERROR = 0x8700
 MISSING_SYNCS = 5
 SUPERVISION_NS = 20_000_000  # longest interval at which the drive's firmware checks the servo
 
+
 Send = Callable[[int, bytes], None]
+"""send(cob_id, data): puts a frame on the bus."""
 
 
 class NmtState(IntEnum):
@@ -48,14 +45,14 @@ class NmtState(IntEnum):
 class CanOpenSlave:
     """One simulated drive with its node id.
 
-    send(cob_id, data): puts a frame on the bus. parameters: {(index, subindex): value} laid over the EDS's defaults, as factory
+    parameters: {(index, subindex): value} laid over the EDS's defaults, as factory
     settings for a certain machine. flash: its non-volatile memory; a fresh one where None. table: the correction
     table of the drive itself, beside the EDS's objects. Raises InputError for a node id outside 1…127.
     """
 
     def __init__(
         self,
-        servo: Servo,
+        servo: SimulatedServo,
         node_id: int,
         send: Send,
         *,
@@ -100,7 +97,7 @@ class CanOpenSlave:
     def _made_dictionary(self, eds: Path, own: Mapping[Key, Item]) -> Dictionary:
         return Dictionary({**load_items(eds, self.node_id), **own})
 
-    def _made_profile(self, servo: Servo) -> DriveProfile:
+    def _made_profile(self, servo: SimulatedServo) -> DriveProfile:
         if (0x2201, 0) in self.dictionary.items:
             servo.backlash.follow(
                 lambda: float(self.dictionary.number(0x2201)), lambda: bool(self.dictionary.number(0x2202))
@@ -167,10 +164,6 @@ class CanOpenSlave:
         if period_ns and self._sync_ns is not None and self.profile.cyclic:
             times.append(self._sync_ns + (MISSING_SYNCS + 1) * period_ns)
         return min((time_ns for time_ns in times if time_ns is not None), default=None)
-
-    def bypass(self, send: Send) -> None:
-        """Send directly onto the bus from now on, without the fault layer."""
-        self._send = send
 
     def _transmit(self, cob_id: int, data: bytes) -> None:
         self._send(cob_id, data)
@@ -291,101 +284,3 @@ def _register_bit(code: int) -> int:
     if code >> 8 == 0x86:
         return 0x20  # motion errors are device profile specific
     return classes.get(code >> 12, 0x80 if code >> 12 == 0xF else 0)
-
-
-def with_faults(
-    servo: Servo,
-    node_id: int,
-    send: Send,
-    faults: Iterable[CanFault],
-    *,
-    parameters: Mapping[tuple[int, int], int] | None = None,
-    flash: Flash | None = None,
-    table: TableForm | None = None,
-    eds: Path = EDS,
-    make: Callable[..., CanOpenSlave] = CanOpenSlave,
-) -> tuple[CanOpenSlave, FaultLayer]:
-    """A drive with a fault layer between it and the bus; frames and time pass through the layer. make: the kind of drive."""
-    layer = FaultLayer(faults, node_id)
-    slave = make(servo, node_id, layer.from_drive, parameters=parameters, flash=flash, table=table, eds=eds)
-    layer.wire(
-        send=send,
-        handle=slave.on_frame,
-        tick=slave.tick,
-        due_ns=slave.due_ns,
-        boot=slave.boot,
-        emergency=slave.emergency,
-        lose_power=slave.lose_power,
-        profile=slave.profile,
-    )
-    return slave, layer
-
-
-def attach_to_wire(
-    wire: SimWire,
-    servo: Servo,
-    node_id: int = 1,
-    *,
-    parameters: Mapping[tuple[int, int], int] | None = None,
-    faults: Iterable[CanFault] = (),
-    flash: Flash | None = None,
-    table: TableForm | None = None,
-    eds: Path = EDS,
-    make: Callable[..., CanOpenSlave] = CanOpenSlave,
-) -> CanOpenSlave:
-    """Put a drive on the simulated wire and boot it; its servo has to be attached to the clock before."""
-    node = wire.add_node()
-    faults = tuple(faults)
-    slave, layer = with_faults(
-        servo, node_id, node.send, faults, parameters=parameters, flash=flash, table=table, eds=eds, make=make
-    )
-    node.on_remote = slave.on_remote
-    if faults:
-        node.connect(layer.on_frame, layer.tick, layer.due_ns)
-    else:
-        slave.bypass(node.send)
-        node.connect(slave.on_frame, slave.tick, slave.due_ns)
-    slave.boot(wire.clock.now_ns())
-    return slave
-
-
-class Station:
-    """A drive at its end of a python-can bus: frames to it and from it, and its next time in simulated time. Raises LinkLostError when
-    the bus does not take a frame."""
-
-    def __init__(
-        self,
-        bus: can.BusABC,
-        clock: Clock,
-        servo: Servo,
-        node_id: int,
-        *,
-        parameters: Mapping[tuple[int, int], int] | None,
-        faults: Iterable[CanFault],
-        table: TableForm | None = None,
-        make: Callable[..., CanOpenSlave] = CanOpenSlave,
-    ) -> None:
-        self._bus = bus
-        self._clock = clock
-        self.slave, self.layer = with_faults(
-            servo, node_id, self._send, faults, parameters=parameters, table=table, make=make
-        )
-        self.slave.boot(clock.now_ns())
-
-    def _send(self, cob_id: int, data: bytes) -> None:
-        try:
-            self._bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
-        except (can.CanError, OSError) as error:
-            raise LinkLostError(f"CAN bus {self._bus.channel_info} does not take a frame: {error}") from error
-
-    def deliver(self, message: can.Message) -> None:
-        """Pass a frame to the drive; extended and error frames are ignored."""
-        if message.is_remote_frame and not message.is_extended_id:
-            self.slave.on_remote(message.arbitration_id, self._clock.now_ns())
-        elif not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-            self.layer.on_frame(message.arbitration_id, bytes(message.data), self._clock.now_ns())
-
-    def bearable(self, now_ns: int) -> int:
-        """For SimClock: ns until the next scheduled time, at most the interval of supervision."""
-        due_ns = self.layer.due_ns()
-        return SUPERVISION_NS if due_ns is None else min(SUPERVISION_NS, due_ns - now_ns)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from drivers.clock import NS_PER_S
-from sim_backends.canopen_profile import Defect, DriveProfile
+from sim_backends.canopen_drive import CanOpenSlave, Send
 from sim_backends.faults import CanFaultKind
 
 
@@ -29,17 +29,6 @@ class CanFault:
 
 
 _K = CanFaultKind
-_DEFECTS: dict[CanFaultKind, Defect] = {
-    _K.SAFE_TORQUE_OFF: Defect.SAFE_TORQUE_OFF,
-    _K.BRAKE_STUCK: Defect.BRAKE_STUCK,
-    _K.SETPOINT_NOT_TAKEN: Defect.SETPOINT_NOT_TAKEN,
-    _K.ACKNOWLEDGE_STUCK: Defect.ACKNOWLEDGE_STUCK,
-    _K.NEVER_ARRIVES: Defect.NEVER_ARRIVES,
-    _K.MODE_STUCK: Defect.MODE_STUCK,
-    _K.LOCAL_CONTROL: Defect.LOCAL_CONTROL,
-    _K.STATUS_IMPOSSIBLE: Defect.STATUS_IMPOSSIBLE,
-    _K.FAULT_STAYS: Defect.FAULT_STAYS,
-}
 _DEAD = (_K.NODE_DEAD, _K.POWER_CUT)
 _EVENTS = (_K.EMCY_BURST, _K.REBOOT, _K.NMT_STOPPED, _K.NMT_PRE_OPERATIONAL, _K.FOREIGN_CONTROLWORD, _K.DRIVE_FAULT)
 
@@ -79,12 +68,14 @@ class _Armed:
 
 
 class FaultLayer:
-    """Layer between one drive and its bus. Construct it with the faults, then `wire` it to both sides.
+    """Layer between one drive and its bus. send: onto the bus; make(send): the drive, with its way out.
 
     `on_frame` takes frames of the bus, `from_drive` those of the drive; `tick` and `due_ns` pass the time.
     """
 
-    def __init__(self, faults: Iterable[CanFault], node_id: int) -> None:
+    def __init__(
+        self, faults: Iterable[CanFault], node_id: int, send: Send, make: Callable[[Send], CanOpenSlave]
+    ) -> None:
         self._faults = [_Armed(fault) for fault in faults]
         self._node_id = node_id
         self._now_ns = 0
@@ -92,30 +83,8 @@ class FaultLayer:
         self._order = 0
         self._dead = False  # cut off from the bus
         self._unpowered = False
-        self._send: Callable[[int, bytes], None] = lambda _cob_id, _data: None
-        self._handle: Callable[[int, bytes, int], None] = lambda _cob_id, _data, _now_ns: None
-        self._tick: Callable[[int], None] = lambda _now_ns: None
-        self._due_ns: Callable[[], int | None] = lambda: None
-        self._boot: Callable[[int], None] = lambda _now_ns: None
-        self._emergency: Callable[[int], None] = lambda _code: None
-        self._lose_power: Callable[[int], None] = lambda _now_ns: None
-        self._profile: DriveProfile | None = None
-
-    def wire(
-        self,
-        *,
-        send: Callable[[int, bytes], None],
-        handle: Callable[[int, bytes, int], None],
-        tick: Callable[[int], None],
-        due_ns: Callable[[], int | None],
-        boot: Callable[[int], None],
-        emergency: Callable[[int], None],
-        lose_power: Callable[[int], None],
-        profile: DriveProfile,
-    ) -> None:
-        """Connect the bus (`send`) and the drive (the rest)."""
-        self._send, self._handle, self._tick, self._due_ns = send, handle, tick, due_ns
-        self._boot, self._emergency, self._lose_power, self._profile = boot, emergency, lose_power, profile
+        self._send = send
+        self.slave = make(self.from_drive)
 
     def add(self, faults: Iterable[CanFault]) -> None:
         """Add faults to those there are, from the thread that passes the time."""
@@ -148,7 +117,7 @@ class FaultLayer:
                 code = int(refused.fault.size).to_bytes(4, "little")
                 self._send(SDO_ANSWER + self._node_id, b"\x80" + data[1:4] + code)
                 return
-        self._handle(cob_id, data, now_ns)
+        self.slave.on_frame(cob_id, data, now_ns)
 
     def from_drive(self, cob_id: int, data: bytes) -> None:
         """A frame of the drive on its way to the bus."""
@@ -195,7 +164,7 @@ class FaultLayer:
         """Advance the faults and the drive behind them to now_ns (ns)."""
         self._advance(now_ns)
         if not self._unpowered:
-            self._tick(now_ns)
+            self.slave.tick(now_ns)
 
     def _advance(self, now_ns: int) -> None:
         self._now_ns = max(now_ns, self._now_ns)
@@ -214,7 +183,7 @@ class FaultLayer:
 
     def due_ns(self) -> int | None:
         """Latest time of the next `tick`, ns; None when nothing is scheduled."""
-        times = [] if self._unpowered else [self._due_ns()]
+        times = [] if self._unpowered else [self.slave.due_ns()]
         if self._delayed:
             times.append(self._delayed[0][0])
         for armed in self._faults:
@@ -225,44 +194,37 @@ class FaultLayer:
         return min((time_ns for time_ns in times if time_ns is not None), default=None)
 
     def _begin(self, armed: _Armed) -> None:
-        fault, profile = armed.fault, self._profile
-        if profile is None:
-            return
-        if fault.kind in _DEFECTS:
-            profile.defects.add(_DEFECTS[fault.kind])
-        elif fault.kind in _DEAD:
+        fault = armed.fault
+        self.slave.profile.defects.add(fault.kind)
+        if fault.kind in _DEAD:
             self._dead = True
             self._delayed.clear()
             if fault.kind is _K.POWER_CUT:
                 self._unpowered = True
-                self._lose_power(self._now_ns)
+                self.slave.lose_power(self._now_ns)
         elif fault.kind in _EVENTS:
-            self._happen(fault, profile)
+            self._happen(fault)
 
-    def _happen(self, fault: CanFault, profile: DriveProfile) -> None:
+    def _happen(self, fault: CanFault) -> None:
         if fault.kind is _K.EMCY_BURST:
             for number in range(int(fault.size)):
-                self._emergency(0xFF00 | number & 0xFF)
+                self.slave.emergency(0xFF00 | number & 0xFF)
         elif fault.kind is _K.REBOOT:
-            self._boot(self._now_ns)
+            self.slave.boot(self._now_ns)
         elif fault.kind is _K.NMT_STOPPED:
-            self._handle(0x000, bytes((0x02, self._node_id)), self._now_ns)
+            self.slave.on_frame(0x000, bytes((0x02, self._node_id)), self._now_ns)
         elif fault.kind is _K.NMT_PRE_OPERATIONAL:
-            self._handle(0x000, bytes((0x80, self._node_id)), self._now_ns)
+            self.slave.on_frame(0x000, bytes((0x80, self._node_id)), self._now_ns)
         elif fault.kind is _K.DRIVE_FAULT:
-            profile.servo.raise_fault(int(fault.size))
+            self.slave.servo.raise_fault(int(fault.size))
         else:
             word = int(fault.size).to_bytes(2, "little")
             request = b"\x2b\x40\x60\x00" + word + b"\0\0"
-            self._handle(SDO_REQUEST + self._node_id, request, self._now_ns)
+            self.slave.on_frame(SDO_REQUEST + self._node_id, request, self._now_ns)
 
     def _end(self, armed: _Armed) -> None:
-        profile = self._profile
-        if profile is None:
-            return
-        if armed.fault.kind in _DEFECTS:
-            profile.defects.discard(_DEFECTS[armed.fault.kind])
-        elif armed.fault.kind in _DEAD:
+        self.slave.profile.defects.discard(armed.fault.kind)
+        if armed.fault.kind in _DEAD:
             self._dead = self._unpowered = False
             if armed.fault.kind is _K.POWER_CUT:
-                self._boot(self._now_ns)
+                self.slave.boot(self._now_ns)

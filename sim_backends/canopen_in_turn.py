@@ -16,11 +16,12 @@ import can
 from can.interfaces.virtual import VirtualBus
 
 from drivers.clock import NS_PER_S
-from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave, Station
+from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave
 from sim_backends.canopen_faults import CanFault
+from sim_backends.canopen_station import Station
 from sim_backends.clock import SimClock
 from sim_backends.own_table import TableForm
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 _LOOK_NS = 10_000_000  # longest step of simulated time of a master that waits
 
@@ -151,7 +152,7 @@ class DrivesInTurn:
 
     def add(
         self,
-        servo: Servo,
+        servo: SimulatedServo,
         node_id: int = 1,
         *,
         parameters: Mapping[tuple[int, int], int] | None = None,

@@ -1,6 +1,6 @@
 """CiA-402 as the simulated drive obeys it: power state machine, modes, set-point handshake, homing, supervision.
 
-Implements the objects 6007h to 60FFh over a `Servo`. State patterns and transitions come from the tables of `drivers.cia402`,
+Implements the objects 6007h to 60FFh over a `SimulatedServo`. State patterns and transitions come from the tables of `drivers.cia402`,
 which the master uses too (checked against literal vectors); everything else is written for the drive's side alone.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 from drivers.cia402.state_machine import (
     QUICK_STOP_ENDINGS,
@@ -24,7 +23,8 @@ from drivers.drive import DriveState
 from sim_backends.canopen_dictionary import INVALID_VALUE, Dictionary, RefusedError
 from sim_backends.canopen_touch_probe import TouchProbeUnit
 from sim_backends.control_wires import Wires
-from sim_backends.servo import MotionMode, Servo
+from sim_backends.faults import CanFaultKind
+from sim_backends.servo import MotionMode, SimulatedServo
 
 PP, PV, HM, CSP, CSV, CST = 1, 3, 6, 8, 9, 10
 NO_MODE = 0
@@ -36,20 +36,6 @@ NEW_SETPOINT, IMMEDIATELY, RELATIVE, HALT = 0x0010, 0x0020, 0x0040, 0x0100
 FOLLOWING_ERROR = 0x8611
 POWERED_STATES = (DriveState.SWITCHED_ON, DriveState.ENABLED, DriveState.QUICK_STOP, DriveState.FAULT_REACTION)
 FAULT_STATES = (DriveState.FAULT, DriveState.FAULT_REACTION)
-
-
-class Defect(Enum):
-    """Faults of the drive's firmware and inputs."""
-
-    SAFE_TORQUE_OFF = "STO input active: no torque, and no state above switch on disabled"
-    BRAKE_STUCK = "never through with opening the brake"
-    SETPOINT_NOT_TAKEN = "bit 12 never rises and the set-point is not taken"
-    ACKNOWLEDGE_STUCK = "bit 12 never falls"
-    NEVER_ARRIVES = "bit 10 never rises"
-    MODE_STUCK = "6060h is taken and ignored"
-    LOCAL_CONTROL = "remote bit 0, controlword ignored"
-    STATUS_IMPOSSIBLE = "a statusword outside the standard"
-    FAULT_STAYS = "the cause of a fault does not go away"
 
 
 @dataclass(frozen=True)
@@ -65,12 +51,12 @@ class DriveProfile:
     emergency(code): called when a fault came (code) or went (0).
     """
 
-    def __init__(self, dictionary: Dictionary, servo: Servo, emergency: Callable[[int], None]) -> None:
+    def __init__(self, dictionary: Dictionary, servo: SimulatedServo, emergency: Callable[[int], None]) -> None:
         self._od = dictionary
         self._servo = self.servo = servo
         self._emergency = emergency
         self.state = DriveState.SWITCH_ON_DISABLED
-        self.defects: set[Defect] = set()
+        self.defects: set[CanFaultKind] = set()  # in force, those of the firmware and its inputs among them
         self.brake_delay_ns = 0  # time from power on until the brake is open and operation enabled
         self._control = 0
         self._mode = NO_MODE
@@ -129,7 +115,7 @@ class DriveProfile:
 
     @property
     def _torque_off(self) -> bool:
-        return Defect.SAFE_TORQUE_OFF in self.defects
+        return CanFaultKind.SAFE_TORQUE_OFF in self.defects
 
     def _forget_motion(self) -> None:
         self._acknowledged = False
@@ -161,15 +147,15 @@ class DriveProfile:
         """6041h as the drive shows it, defects included."""
         word = self._true_statusword()
         if self.defects:
-            if Defect.LOCAL_CONTROL in self.defects:
+            if CanFaultKind.LOCAL_CONTROL in self.defects:
                 word &= ~REMOTE
-            if Defect.NEVER_ARRIVES in self.defects:
+            if CanFaultKind.NEVER_ARRIVES in self.defects:
                 word &= ~REACHED
-            if Defect.SETPOINT_NOT_TAKEN in self.defects and self._mode == PP:
+            if CanFaultKind.SETPOINT_NOT_TAKEN in self.defects and self._mode == PP:
                 word &= ~BIT_12
-            if Defect.ACKNOWLEDGE_STUCK in self.defects and self._mode == PP:
+            if CanFaultKind.ACKNOWLEDGE_STUCK in self.defects and self._mode == PP:
                 word |= BIT_12
-            if Defect.STATUS_IMPOSSIBLE in self.defects:
+            if CanFaultKind.STATUS_IMPOSSIBLE in self.defects:
                 word = word & ~0x6F | 0x04
         return word
 
@@ -273,9 +259,13 @@ class DriveProfile:
     # -- controlword ---------------------------------------------------------------------------------------------------
     def _write_controlword(self, word: int) -> None:
         previous, self._control = self._control, word
-        if Defect.LOCAL_CONTROL in self.defects:
+        if CanFaultKind.LOCAL_CONTROL in self.defects:
             return
-        if is_fault_reset(previous, word) and self.state is DriveState.FAULT and Defect.FAULT_STAYS not in self.defects:
+        if (
+            is_fault_reset(previous, word)
+            and self.state is DriveState.FAULT
+            and CanFaultKind.FAULT_STAYS not in self.defects
+        ):
             self._servo.reset_fault()
             if not self._servo.fault_code:
                 self._known_fault = 0
@@ -323,7 +313,7 @@ class DriveProfile:
 
     def _finish_enabling(self) -> None:
         since_ns = self._enabling_since_ns
-        if Defect.BRAKE_STUCK in self.defects:
+        if CanFaultKind.BRAKE_STUCK in self.defects:
             return
         if since_ns is not None and self._servo.powered and self._now_ns - since_ns >= self.brake_delay_ns:
             self._enabling_since_ns = None
@@ -365,7 +355,7 @@ class DriveProfile:
             mode and not self._od.number(0x6502) & 1 << (mode - 1)
         ):  # negative modes are the manufacturer's
             raise RefusedError(INVALID_VALUE)
-        if mode == self._mode or Defect.MODE_STUCK in self.defects:
+        if mode == self._mode or CanFaultKind.MODE_STUCK in self.defects:
             return
         if self.state is DriveState.ENABLED and self._mode in (PV, HM, CSV, CST):
             self._servo.halt(self._od.number(0x6084))  # the motion of the old mode ends; the axis stays held
@@ -408,7 +398,7 @@ class DriveProfile:
 
     # -- profile position ------------------------------------------------------------------------------------------------
     def _watch_setpoint(self, previous: int, word: int) -> None:
-        if Defect.SETPOINT_NOT_TAKEN in self.defects:
+        if CanFaultKind.SETPOINT_NOT_TAKEN in self.defects:
             return
         if word & ~previous & NEW_SETPOINT and not self._acknowledged:
             target = self._od.number(0x607A)

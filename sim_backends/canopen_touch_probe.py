@@ -9,7 +9,7 @@ from functools import partial
 
 from sim_backends.canopen_dictionary import INVALID_VALUE, Dictionary, RefusedError
 from sim_backends.probe_latch import Contact, ProbeLatch
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 __all__ = ["Contact", "TouchProbeUnit"]
 
@@ -21,7 +21,7 @@ VALUE, STAMP, COUNTER = 0x60BA, 0x60D1, 0x60D5
 class TouchProbeUnit(ProbeLatch):
     """Both channels of one drive, in its dictionary."""
 
-    def __init__(self, dictionary: Dictionary, servo: Servo) -> None:
+    def __init__(self, dictionary: Dictionary, servo: SimulatedServo) -> None:
         super().__init__(servo)
         dictionary.on_write(0x60B8, 0, self._write_function)
         dictionary.on_read(0x60B9, 0, self._status)

@@ -15,9 +15,10 @@ from drivers.clock import Clock
 from drivers.errors import InputError, LinkLostError
 from sim_backends import MODBUS_SHAPES
 from sim_backends.bench import Bench
-from sim_backends.canopen_drive import CanOpenSlave, Station
+from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_quirks import ProfiledSlave, machine_objects
+from sim_backends.canopen_station import Station
 from sim_backends.canopen_strict import StrictSlave
 from sim_backends.drive_profiles import DriveProfileFile
 from sim_backends.maker_file import MakerFile

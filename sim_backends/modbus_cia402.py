@@ -32,7 +32,7 @@ from sim_backends.modbus_registers import (
     Value,
 )
 from sim_backends.modbus_table import ERROR_MAP, BlockTable
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 EDS = Path(__file__).with_name("servo_drive.eds")
 _SAVE = int.from_bytes(b"save", "little")
@@ -97,7 +97,7 @@ class Cia402Registers:
     max_write = 123
     single_writes = True
 
-    def __init__(self, servo: Servo, *, parameters: Mapping[tuple[int, int], int] | None = None) -> None:
+    def __init__(self, servo: SimulatedServo, *, parameters: Mapping[tuple[int, int], int] | None = None) -> None:
         self.servo = servo
         self.dictionary = Dictionary(load_items(EDS, 1))
         for (index, subindex), value in (parameters or {}).items():

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 
 from sim_backends.modbus_registers import ILLEGAL_VALUE, Bank, Cell, RefusedRequestError, Space, Value
 from sim_backends.modbus_table import PITCH_STEPS, BlockTable
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 _MS = 1_000_000
 TASK_NS = 2 * _MS  # interval at which the drive processes its orders
@@ -30,7 +30,7 @@ class VendorRegisters:
 
     def __init__(
         self,
-        servo: Servo,
+        servo: SimulatedServo,
         *,
         counts_per_rev: int,
         quick_stop_rpm_s: float = 20_000.0,

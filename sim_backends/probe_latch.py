@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 Contact = Callable[[int], bool]
 """contact(position_counts): whether the input is active at this motor position."""
@@ -51,7 +51,7 @@ class ProbeInput:
 class ProbeLatch:
     """Both inputs of one drive."""
 
-    def __init__(self, servo: Servo) -> None:
+    def __init__(self, servo: SimulatedServo) -> None:
         self._servo = servo
         self._now_ns = 0
         self.channels = (ProbeInput(), ProbeInput())

@@ -10,17 +10,17 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable
+from enum import Enum
 
 from drivers.errors import InputError
-from sim_backends.backlash_compensation import BacklashCompensation
+from sim_backends.backlash_compensation import BacklashCompensation, Mechanics
 from sim_backends.faults import Fault, FaultKind, FaultSchedule
 from sim_backends.homing import HOMING_METHODS, HomingRun, HomingSensor, Switches
 from sim_backends.motion_profile import Profile, plan_move, plan_stop, plan_velocity
 from sim_backends.own_table import TableStage
-from sim_backends.servo_face import Mechanics, MotionMode, Servo
 from sim_backends.servo_parameters import ServoParameters
 
-__all__ = ["FAULT_FOLLOWING_ERROR", "Mechanics", "MotionMode", "Servo", "ServoParameters", "SimulatedServo"]
+__all__ = ["FAULT_FOLLOWING_ERROR", "MotionMode", "ServoParameters", "SimulatedServo"]
 
 FAULT_FOLLOWING_ERROR = 0x8611  # CiA-402 error code: following error
 
@@ -30,8 +30,26 @@ _AT_REST_NS = 60_000_000_000  # longest step of an axis at rest
 _SETTLED_COUNTS = 0.02  # a smaller lag is ignored
 
 
+class MotionMode(Enum):
+    """Modes of the set-point generator."""
+
+    IDLE = "idle"  # hold the demand position
+    PROFILE_POSITION = "profile position"
+    PROFILE_VELOCITY = "profile velocity"
+    HOMING = "homing"
+    CYCLIC_POSITION = "cyclic synchronous position"
+    CYCLIC_VELOCITY = "cyclic synchronous velocity"
+    CYCLIC_TORQUE = "cyclic synchronous torque"
+
+
 class SimulatedServo:
-    """A drive with its motor, turning a `Mechanics`; `Servo` describes what its faces use."""
+    """A drive with its motor, turning a `Mechanics`. Readings are of the present simulated time.
+
+    Motion orders are without effect while unpowered or while a stop runs or holds, as on a real drive.
+
+    backlash, table: stages that a face connects to its parameters. fast_inputs: called with the number of the input, 1 or 2, at the
+    time of a pulse on it. stopping: a quick stop or halt runs, or holds. fault_code: 0 = none, else an error code of CiA 402 (603Fh).
+    """
 
     def __init__(
         self, mechanics: Mechanics, parameters: ServoParameters | None = None, faults: tuple[Fault, ...] = ()

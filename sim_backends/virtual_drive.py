@@ -30,7 +30,7 @@ from sim_backends.clock import SimClock
 from sim_backends.control_wires import Wires
 from sim_backends.own_table import TableForm
 from sim_backends.probe_latch import ProbeLatch
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 from sim_backends.virtual_faces import (
     VirtualCorrectionTable,
     VirtualDriveSettings,
@@ -50,7 +50,7 @@ class VirtualDrive(HostPacedDrive):
 
     def __init__(
         self,
-        servo: Servo,
+        servo: SimulatedServo,
         scaling: AxisScaling,
         limits: DriveLimits,
         clock: Clock,

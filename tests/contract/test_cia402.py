@@ -10,7 +10,7 @@ from support.cia402_wires import WIRES, WatchedDrive
 from drivers.cia402.settings import Cia402Settings
 from drivers.drive import DriveState
 from drivers.errors import BridgeError, CapabilityError, DriveFaultError, LimitError, StateError
-from sim_backends.canopen_profile import Defect
+from sim_backends.faults import CanFaultKind
 
 OVER_VOLTAGE = 0x3210
 BIT_4, BIT_7, BIT_12 = 1 << 4, 1 << 7, 1 << 12
@@ -78,8 +78,8 @@ def test_a_set_point_is_handed_over_with_its_acknowledge(rig: WatchedDrive) -> N
         assert sample.position_load_mm == pytest.approx(50.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("defect", [Defect.SETPOINT_NOT_TAKEN, Defect.ACKNOWLEDGE_STUCK])
-def test_a_set_point_that_is_not_acknowledged_leaves_no_enabled_axis(rig: WatchedDrive, defect: Defect) -> None:
+@pytest.mark.parametrize("defect", [CanFaultKind.SETPOINT_NOT_TAKEN, CanFaultKind.ACKNOWLEDGE_STUCK])
+def test_a_set_point_that_is_not_acknowledged_leaves_no_enabled_axis(rig: WatchedDrive, defect: CanFaultKind) -> None:
     with rig.drive as drive:
         drive.enable()
         rig.profile.defects.add(defect)
@@ -92,7 +92,7 @@ def test_a_set_point_that_is_not_acknowledged_leaves_no_enabled_axis(rig: Watche
 
 def test_a_mode_that_is_not_shown_is_not_enabled_in(rig: WatchedDrive) -> None:
     with rig.drive as drive:
-        rig.profile.defects.add(Defect.MODE_STUCK)
+        rig.profile.defects.add(CanFaultKind.MODE_STUCK)
         rig.dictionary.on_read(0x6061, 0, lambda: 3)
         with pytest.raises(BridgeError, match="mode"):
             drive.enable()
@@ -176,7 +176,7 @@ def test_a_fault_is_left_by_its_reset_alone(rig: WatchedDrive) -> None:
 def test_a_fault_whose_cause_stays_is_told(rig: WatchedDrive) -> None:
     with rig.drive as drive:
         drive.enable()
-        rig.profile.defects.add(Defect.FAULT_STAYS)
+        rig.profile.defects.add(CanFaultKind.FAULT_STAYS)
         rig.servo.raise_fault(OVER_VOLTAGE)
         rig.clock.sleep_s(0.5)
         with pytest.raises(DriveFaultError, match="stays"):

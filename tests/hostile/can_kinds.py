@@ -27,7 +27,7 @@ from drivers.errors import (
 )
 from hil.backlash.neutral_settings import NotRestoredError
 from hil.desk.stop import StoppedByOperator
-from sim_backends.canopen_profile import Defect
+from sim_backends.faults import CanFaultKind
 
 # settings that nobody takes back from us are named with the file that `--restore` puts back
 WIRE = (NoAnswerError, LinkLostError, ProtocolError, NotRestoredError)
@@ -368,12 +368,12 @@ def _(peer: CanPeer) -> None:
 
 @kinds("statusword that the standard does not have", *STATE, *MOTION)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.STATUS_IMPOSSIBLE)
+    peer.defect(CanFaultKind.STATUS_IMPOSSIBLE)
 
 
 @kinds("the set-point is never acknowledged", ProtocolError, MotionTimeoutError)
 def _(peer: CanPeer) -> None:
-    peer.slave.profile.defects.add(Defect.SETPOINT_NOT_TAKEN)
+    peer.slave.profile.defects.add(CanFaultKind.SETPOINT_NOT_TAKEN)
 
     def given(request: bytes) -> None:  # a stream hands over none, and a run may have none left to hand over
         if request[0] >> 5 == 1 and request[1:3] == b"\x40\x60" and request[4] & 0x10:
@@ -384,7 +384,7 @@ def _(peer: CanPeer) -> None:
 
 @kinds("the acknowledge bit stays", ProtocolError, MotionTimeoutError, StateError, passes=True)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.ACKNOWLEDGE_STUCK)
+    peer.defect(CanFaultKind.ACKNOWLEDGE_STUCK)
 
 
 # a documented drive does so; arrival is then told by the positions
@@ -395,7 +395,7 @@ def _(peer: CanPeer) -> None:
 
 @kinds("target reached is never shown", *MOTION)
 def _(peer: CanPeer) -> None:
-    peer.slave.profile.defects.add(Defect.NEVER_ARRIVES)
+    peer.slave.profile.defects.add(CanFaultKind.NEVER_ARRIVES)
 
     def look() -> None:  # no arrival is waited for in a stream, nor of an axis that stands while another moves
         if peer.slave.dictionary.number(0x6060) != Mode.CYCLIC_POSITION and peer.servo.velocity_actual_counts_s:
@@ -406,7 +406,7 @@ def _(peer: CanPeer) -> None:
 
 @kinds("the mode display is stuck", *MOTION, passes=True)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.MODE_STUCK)
+    peer.defect(CanFaultKind.MODE_STUCK)
 
 
 @kinds("homing is attained at once", *MOTION, MeasurementLostError, at_start=True, passes=True)
@@ -431,7 +431,7 @@ def _(peer: CanPeer) -> None:
 # -- behaviour of the drive --------------------------------------------------------------------------------------------------
 @kinds("safe torque off", *STATE, *MOTION, coasts=True)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.SAFE_TORQUE_OFF)
+    peer.defect(CanFaultKind.SAFE_TORQUE_OFF)
 
 
 def _when_powered(peer: CanPeer, act: Callable[[], None]) -> None:
@@ -449,7 +449,7 @@ def _(peer: CanPeer) -> None:
 
 @kinds("it takes no controlword (local control)", *STATE, *MOTION)
 def _(peer: CanPeer) -> None:
-    peer.defect(Defect.LOCAL_CONTROL)
+    peer.defect(CanFaultKind.LOCAL_CONTROL)
 
 
 @kinds("a second master disables it", *STATE, *MOTION, coasts=True)

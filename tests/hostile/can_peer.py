@@ -15,9 +15,9 @@ from typing import Any
 from hostile.peer import Peer
 
 from sim_backends.canopen_drive import CanOpenSlave
-from sim_backends.canopen_profile import Defect
 from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.clock import SimClock
+from sim_backends.faults import CanFaultKind
 from sim_backends.servo import SimulatedServo
 
 NMT, SYNC, EMCY, TPDO1, TPDO2, RPDO1, RPDO4, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = (
@@ -111,7 +111,7 @@ class CanPeer(Peer):
         self._order += 1
         heapq.heappush(self._delayed, (self.clock.now_ns() + round(delay_s * 1e9), self._order, act))
 
-    def defect(self, defect: Defect) -> None:
+    def defect(self, defect: CanFaultKind) -> None:
         """Enable a defect of the simulated firmware."""
         self.strike()
         self.slave.profile.defects.add(defect)

@@ -27,7 +27,8 @@ from drivers.drive import DriveState
 from drivers.errors import InputError, StateError
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
-from sim_backends.canopen_drive import EDS, CanOpenSlave, attach_to_wire
+from sim_backends.canopen_drive import EDS, CanOpenSlave
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.servo import SimulatedServo

@@ -20,7 +20,7 @@ from drivers.set_points import SetPointSettings
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from sim_backends.canopen_bench import SMALL_SERVO
-from sim_backends.canopen_drive import attach_to_wire
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.servo import SimulatedServo

@@ -30,9 +30,9 @@ from drivers.limits import DriveLimits
 from hil.app.main import main
 from hil.machine.supervisor import homing_time_s
 from sim_backends import profile_paths
-from sim_backends.canopen_profile import Defect
 from sim_backends.canopen_quirks import ProfiledSlave
 from sim_backends.drive_profiles import BASE, STRENGTHS, load_profile
+from sim_backends.faults import CanFaultKind
 from sim_backends.maker_file import read_maker_file
 
 NAMES = tuple(profile_paths())
@@ -235,7 +235,7 @@ def test_a_mode_that_is_shown_once_enabled_is_waited_for() -> None:
 
 def test_a_mode_that_is_never_shown_ends_without_power() -> None:
     trial = trial_of("leadshine_2cs3e")
-    trial.slave.profile.defects.add(Defect.MODE_STUCK)
+    trial.slave.profile.defects.add(CanFaultKind.MODE_STUCK)
     drive = trial.drive
     drive.open()
     with pytest.raises(ProtocolError, match="mode 1 was written"):

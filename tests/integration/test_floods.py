@@ -27,7 +27,7 @@ from hil.machine.machine import session_of
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench
 from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_drive import attach_to_wire
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_wire import SimWire
 
 pytestmark = pytest.mark.outside

@@ -27,7 +27,7 @@ from hil.axis.axis_file import MeasurementConfig
 from hil.doctor.procedure import doctor
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
-from sim_backends.canopen_drive import attach_to_wire
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_strict import StrictSlave
 from sim_backends.canopen_wire import SimWire
 from sim_backends.maker_file import TRINAMIC, motion_units, read_maker_file

@@ -39,9 +39,8 @@ from drivers.modbus.wear import WearLedger
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_profile import Defect
 from sim_backends.clock import SimClock
-from sim_backends.faults import WireFaultKind
+from sim_backends.faults import CanFaultKind, WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer
 from sim_backends.modbus_faults import WireFault
@@ -303,7 +302,7 @@ def test_a_mode_that_does_not_change_after_a_homing_ends_without_power() -> None
         drive.enable()
         drive.start_homing()
         drive.wait_for(lambda sample: sample.homed is True, 5.0, "homed")
-        r.face.profile.defects.add(Defect.MODE_STUCK)
+        r.face.profile.defects.add(CanFaultKind.MODE_STUCK)
         with pytest.raises(MotionTimeoutError, match="change of mode not within"):
             drive.start_move(50.0, 10.0)
         assert (r.servo.powered, r.servo.velocity_actual_counts_s) == (False, 0)
@@ -488,7 +487,7 @@ def test_a_quick_stop_that_is_not_obeyed_is_told() -> None:
         drive.enable()
         drive.start_move(200.0, 50.0)
         r.clock.sleep_s(0.5)
-        r.face.profile.defects.add(Defect.LOCAL_CONTROL)
+        r.face.profile.defects.add(CanFaultKind.LOCAL_CONTROL)
         with pytest.raises(MotionTimeoutError, match="the quick stop was sent, but it stays enabled"):
             drive.quick_stop()
         r.face.profile.defects.clear()
@@ -607,10 +606,10 @@ def test_a_stream_that_cannot_be_entered_or_left_leaves_the_axis_without_power()
         with rig(CIA402) as r, r.drive as drive:
             assert isinstance(r.face, Cia402Registers)
             drive.enable()
-            r.face.profile.defects |= {Defect.MODE_STUCK} if nth == 1 else set()
+            r.face.profile.defects |= {CanFaultKind.MODE_STUCK} if nth == 1 else set()
             with pytest.raises(MotionTimeoutError, match="change of mode"), drive.stream(SetPointSettings(0.02)):  # noqa: PT012
                 assert what == "left"
-                r.face.profile.defects.add(Defect.MODE_STUCK)
+                r.face.profile.defects.add(CanFaultKind.MODE_STUCK)
             assert not r.servo.powered
 
 
@@ -709,12 +708,12 @@ def test_a_fault_that_stays_is_named_and_not_reset_into_an_enable(each: Rig) -> 
 @pytest.mark.parametrize(
     ("defect", "what"),
     [
-        (Defect.SAFE_TORQUE_OFF, r"ready to switch on \(mains, STO .*it is switch on disabled"),
-        (Defect.LOCAL_CONTROL, r"ready to switch on \(mains, STO .*it is switch on disabled"),
-        (Defect.BRAKE_STUCK, r"operation enabled \(mains, STO .*it is switched on"),
+        (CanFaultKind.SAFE_TORQUE_OFF, r"ready to switch on \(mains, STO .*it is switch on disabled"),
+        (CanFaultKind.LOCAL_CONTROL, r"ready to switch on \(mains, STO .*it is switch on disabled"),
+        (CanFaultKind.BRAKE_STUCK, r"operation enabled \(mains, STO .*it is switched on"),
     ],
 )
-def test_a_drive_that_does_not_come_up_says_where_it_is_stuck(defect: Defect, what: str) -> None:
+def test_a_drive_that_does_not_come_up_says_where_it_is_stuck(defect: CanFaultKind, what: str) -> None:
     with rig(CIA402) as r, r.drive as drive:
         assert isinstance(r.face, Cia402Registers)
         r.face.profile.defects.add(defect)
@@ -736,7 +735,7 @@ def test_a_fault_on_the_way_up_ends_enabling(each: Rig) -> None:
 def test_a_state_the_map_does_not_know_is_a_protocol_error() -> None:
     with rig(CIA402) as r, r.drive as drive:
         assert isinstance(r.face, Cia402Registers)
-        r.face.profile.defects.add(Defect.STATUS_IMPOSSIBLE)
+        r.face.profile.defects.add(CanFaultKind.STATUS_IMPOSSIBLE)
         with pytest.raises(ProtocolError, match=r"statusword 0x[0-9a-f]+ is no state that its register map knows"):
             drive.sample()
         r.face.profile.defects.clear()

@@ -36,7 +36,8 @@ from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import CanOpenSlave, attach_to_wire
+from sim_backends.canopen_drive import CanOpenSlave
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_strict import StrictSlave
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock

@@ -23,7 +23,7 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling
 from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_drive import attach_to_wire
+from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

@@ -11,16 +11,17 @@ import can
 from can.interfaces.virtual import VirtualBus
 
 from drivers.clock import NS_PER_S, Clock, WallClock
-from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave, Station
+from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave
 from sim_backends.canopen_faults import CanFault
+from sim_backends.canopen_station import Station
 from sim_backends.clock import SimClock
 from sim_backends.own_table import TableForm
-from sim_backends.servo import Servo
+from sim_backends.servo import SimulatedServo
 
 
 @contextmanager
 def served(
-    servo: Servo,
+    servo: SimulatedServo,
     clock: Clock,
     *,
     channel: str | int,
@@ -59,7 +60,7 @@ class _Service:
         self,
         bus: can.BusABC,
         clock: Clock,
-        servo: Servo,
+        servo: SimulatedServo,
         node_id: int,
         *,
         parameters: Mapping[tuple[int, int], int] | None,
