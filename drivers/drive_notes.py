@@ -13,11 +13,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 from drivers.facts import Strength
+from drivers.files import shipped
 from drivers.toml_schema import Document
 from drivers.toml_types import Key, Limits, SchemaError, Text, Via, not_empty
 
@@ -122,11 +122,5 @@ def load_drive_notes(path: Path) -> DriveNotes:
 
 def shipped_notes() -> dict[str, DriveNotes]:
     """The notes that come with the package, by name."""
-    found = {}
-    for wire in ("canopen", "modbus"):
-        folder = resources.files("drivers") / wire / "drive_notes"
-        for item in folder.iterdir():
-            if item.name.endswith(".toml"):
-                path = Path(str(item))
-                found[path.stem] = load_drive_notes(path)
-    return dict(sorted(found.items()))
+    paths = shipped("drivers.canopen", "drive_notes") | shipped("drivers.modbus", "drive_notes")
+    return {name: load_drive_notes(path) for name, path in sorted(paths.items())}

@@ -9,13 +9,30 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from importlib import resources
 from pathlib import Path
 
 from drivers.errors import InputError
 
 MOST_BYTES = 1 << 28
 """Longest file without a bound of its own: a million rows of 15 columns take half of it."""
+
+
+def shipped(package: str, folder: str) -> dict[str, Path]:
+    """The TOML files that come with a package, by name."""
+    items = (Path(str(item)) for item in (resources.files(package) / folder).iterdir())
+    return {path.stem: path for path in items if path.suffix == ".toml"}
+
+
+def named_file(name_or_path: str | Path, shipped_files: Mapping[str, Path], what: str) -> Path:
+    """A file that exists, or one of the shipped files by name. Raises InputError naming them."""
+    path = Path(name_or_path)
+    if path.is_file():
+        return path
+    if str(name_or_path) in shipped_files:
+        return shipped_files[str(name_or_path)]
+    raise InputError(f"is neither a file nor a shipped {what} ({', '.join(sorted(shipped_files))})", path=path)
 
 
 def read_bytes(path: str | Path, most: int = MOST_BYTES) -> bytes:

@@ -341,9 +341,19 @@ class StoppableDrive(ServoDrive):
                 raise
             self.disable()
 
-    @abstractmethod
     def _answers(self) -> bool:
-        """Whether it gives any answer to one request without repeats."""
+        """Whether it gives any answer to one request, a refusal included."""
+        try:
+            self._ask()
+        except TransportError:
+            return False
+        except BridgeError:
+            return True
+        return True
+
+    @abstractmethod
+    def _ask(self) -> None:
+        """Make one request. Raises what the wire raises."""
 
 
 def stop_together(drives: Sequence[ServoDrive], error: BaseException) -> None:

@@ -24,7 +24,6 @@ from drivers.canopen.pdo import (
     Pdo,
     PdoSpec,
 )
-from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, spec_of
 from drivers.canopen.settings import CanOpenSettings
 from drivers.canopen.sync import SYNC
@@ -54,7 +53,6 @@ class Connection:
         self._pdos: PdoSetup | None = None
         self._dictionary = None if node.eds is None else node.eds.mappable_objects()
         self._before: list[tuple[Entry, int]] = []  # changed entries with their earlier values
-        self.pdo_findings: list[Finding] = []
         self.notes: list[str] = []
         self.stop_rpdo: PdoSpec | None = None
         """An RPDO that takes a controlword at once, without SYNC; None where the drive has or accepts no such RPDO."""
@@ -183,7 +181,7 @@ class Connection:
         while True:
             self._pdos = PdoSetup(self._sdo, node_id, tuple(wanted.values()))
             try:
-                self.pdo_findings = self._pdos.apply(self._dictionary, refuse=refuse)
+                self._pdos.apply(self._dictionary, refuse=refuse)
                 break
             except PdoRefusedError as error:
                 self._do_without(wanted, kinds, error)

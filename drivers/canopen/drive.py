@@ -17,7 +17,6 @@ from drivers.canopen.eds_text import summary
 from drivers.canopen.identity import Identity, object_of, read_identity, stores_on_command, unit_objects
 from drivers.canopen.node import NmtState
 from drivers.canopen.pdo import PdoSpec
-from drivers.canopen.pdo_lint import Finding
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sampling import Sampler, sampled_pdos
 from drivers.canopen.settings import CanOpenSettings
@@ -36,13 +35,11 @@ from drivers.drive import (
 )
 from drivers.errors import (
     AbortError,
-    BridgeError,
     CapabilityError,
     InputError,
     NoAnswerError,
     ProtocolError,
     StateError,
-    TransportError,
 )
 from drivers.named_parameters import NamedParameters
 from drivers.set_points import SetPointSettings
@@ -155,12 +152,6 @@ class CanOpenDrive(StoppableNode):
             return {}
         return {"vendor": identity.vendor_id, "product": identity.product_code, "serial": identity.serial}
 
-    @property
-    def pdo_findings(self) -> list[Finding]:
-        """Findings of the PDO linter when the PDOs were set up."""
-        self._require_open()
-        return self.connection.pdo_findings
-
     def close(self) -> None:
         """See `StoppableDrive.close`; works without the node's heartbeat, and over SDO or PDO alone."""
         if self._open:
@@ -174,14 +165,8 @@ class CanOpenDrive(StoppableNode):
         communication = partial(self.connection.put_back, unwatched=left is not Left.UNKNOWN)
         undo_all([*steps, ("", communication)])
 
-    def _answers(self) -> bool:
-        try:
-            self.sdo.read_if_shown(objects.STATUSWORD, 0)
-        except TransportError:
-            return False
-        except BridgeError:
-            return True
-        return True
+    def _ask(self) -> None:
+        self.sdo.read(objects.STATUSWORD)
 
     def _release(self) -> None:
         self._open = False

@@ -67,12 +67,11 @@ Dictionary = Mapping[tuple[int, int], MappableObject]
 
 @dataclass(frozen=True)
 class Cycle:
-    """A SYNC cycle: period in µs, bit rate in bit/s, usable share of the bus, and bytes of other frames in each cycle."""
+    """A SYNC cycle: period in µs, bit rate in bit/s, and usable share of the bus."""
 
     period_us: float
     bitrate: int
     budget: float = 0.7
-    other_frames: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class Load:
 
 def predict(nodes: Mapping[int, Sequence[PdoSpec]], cycle: Cycle) -> Load:
     """Bus load of SYNC and all synchronous PDOs of all nodes in one cycle; PDOs sent every n-th SYNC count as if in each."""
-    sizes = [0, *cycle.other_frames]
+    sizes = [0]
     for specs in nodes.values():
         sizes += [-(-spec.bits // 8) for spec in specs if spec.kind <= LAST_SYNCHRONOUS]
     shortest_us = sum(map(frame_bits, sizes)) * 1e6 / cycle.bitrate

@@ -15,13 +15,13 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 from drivers.cia402.objects import DataType, Entry
 from drivers.correction_table import COLUMNS, UNITS, Quantity, TableDescription, TableHead
 from drivers.errors import InputError
+from drivers.files import named_file, shipped
 from drivers.toml_schema import Document, either
 from drivers.toml_types import Limits, Positive, SchemaError, Text, Via, one_of
 
@@ -61,18 +61,12 @@ class TableMap:
 
 def shipped_tables() -> dict[str, Path]:
     """The table maps that come with the package, by name."""
-    folder = resources.files("drivers.canopen") / "tables"
-    return {Path(str(item)).stem: Path(str(item)) for item in folder.iterdir() if item.name.endswith(".toml")}
+    return shipped("drivers.canopen", "tables")
 
 
 def load_table_map(name_or_path: str | Path) -> TableMap:
     """A map from a file, or a shipped map by name. Raises InputError naming file, line and key."""
-    path = Path(name_or_path)
-    shipped = shipped_tables()
-    if not path.is_file():
-        if str(name_or_path) not in shipped:
-            raise InputError(f"is neither a file nor a shipped table map ({', '.join(sorted(shipped))})", path=path)
-        path = shipped[str(name_or_path)]
+    path = named_file(name_or_path, shipped_tables(), "table map")
     document = Document.read(path)
     table, objects = document.load(_Table, "table"), document.load(_Objects, "objects")
     document.finish()
@@ -175,7 +169,7 @@ class _Quantity:
 
     def quantity(self, kind: DataType) -> Quantity:
         """The quantity, in the range of a type or within the limits given. Raises SchemaError."""
-        low, high = bounds(kind)
+        low, high = kind.range
         for key, value in (("low", self.low), ("high", self.high)):
             if value is not None and not low <= value <= high:
                 raise SchemaError(key, f"is {value}, expected a whole number {low} to {high}")
@@ -230,12 +224,6 @@ def _places(table: _Table, objects: _Objects) -> _Places:
     return _Places(columns, domain, scalars, types)
 
 
-def bounds(kind: DataType) -> tuple[int, int]:
-    """Least and greatest value of a whole-number type."""
-    bits = 8 * kind.size
-    return (-(1 << (bits - 1)), (1 << (bits - 1)) - 1) if kind.is_signed else (0, (1 << bits) - 1)
-
-
 def _as(quantity: Quantity, entry: Entry | None) -> Quantity | None:
     """The same unit, in the range of another object."""
-    return None if entry is None else Quantity(quantity.unit, quantity.scale, *bounds(entry.type))
+    return None if entry is None else Quantity(quantity.unit, quantity.scale, *entry.type.range)

@@ -28,6 +28,7 @@ from fractions import Fraction
 from typing import Annotated
 
 from drivers.drive import DriveState
+from drivers.modbus.codec import Raw
 from drivers.modbus.map_facts import Proof
 from drivers.modbus.map_roles import (
     Condition,
@@ -335,11 +336,30 @@ class DriveMap:
         if len({probe.number for probe in self.probes}) != len(self.probes):
             raise SchemaError("touch_probe", "has two probes of one number")
 
+    @property
+    def state_registers(self) -> tuple[str, ...]:
+        """Names of the registers that show the state."""
+        return tuple(dict.fromkeys(rule.condition.register for rule in self.states))
+
+    def state_of(self, raw: Mapping[str, Raw]) -> DriveState:
+        """The state of the first rule that fits; UNKNOWN where none does."""
+        for rule in self.states:
+            value = raw[rule.condition.register]
+            if isinstance(value, int) and rule.condition.holds(value):
+                return rule.state
+        return DriveState.UNKNOWN
+
     def sampled(self) -> tuple[str, ...]:
         """Names of all registers that one sample needs."""
-        names = [self.position, self.velocity, self.torque, self.following_error, self.fault_code]
-        conditions = [rule.condition for rule in self.states]
-        conditions += [*self.move.reached, *self.move.limited, *self.move.mode_shown]
+        names = [
+            self.position,
+            self.velocity,
+            self.torque,
+            self.following_error,
+            self.fault_code,
+            *self.state_registers,
+        ]
+        conditions = [*self.move.reached, *self.move.limited, *self.move.mode_shown]
         if self.homing is not None:
             conditions += [*self.homing.applies, *self.homing.attained, *self.homing.failed]
         names += [condition.register for condition in conditions]
@@ -376,7 +396,7 @@ class DriveMap:
         used: dict[Proof, list[str | None]] = {
             Proof.READING: [need.condition.register for need in self.needs],
             Proof.ENABLING: [
-                *(rule.condition.register for rule in self.states),
+                *self.state_registers,
                 *(write.register for transition in powered for write in transition.writes),
             ],
             Proof.MOVE: [*moved, *(each.register for each in asked), *(each.register for each in orders)],

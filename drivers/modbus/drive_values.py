@@ -13,7 +13,7 @@ from drivers.clock import Clock
 from drivers.drive import DriveState
 from drivers.errors import InputError, ProtocolError
 from drivers.modbus.codec import Raw
-from drivers.modbus.commands import Commands, hold
+from drivers.modbus.commands import Commands
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.register_access import RegisterAccess, whole
 from drivers.modbus.register_map import Register
@@ -78,14 +78,11 @@ class DriveValues:
         self._scaling = scaling
 
     def state(self, raw: dict[str, Raw]) -> DriveState:
-        """The state of the first rule of the map that fits. Raises ProtocolError where none does."""
-        for rule in self._map.states:
-            if hold((rule.condition,), raw):
-                return rule.state
-        shown = ", ".join(
-            f"{name} {whole(raw[name], name):#x}"
-            for name in dict.fromkeys(rule.condition.register for rule in self._map.states)
-        )
+        """As `DriveMap.state_of`. Raises ProtocolError where no rule fits."""
+        state = self._map.state_of(raw)
+        if state is not DriveState.UNKNOWN:
+            return state
+        shown = ", ".join(f"{name} {whole(raw[name], name):#x}" for name in self._map.state_registers)
         raise ProtocolError(f"drive {self._name}: {shown} is no state that its register map knows")
 
     def counts(self, value: Raw, name: str) -> float:

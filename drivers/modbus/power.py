@@ -29,8 +29,7 @@ class PowerStates:
 
     def state(self) -> DriveState:
         """The state, read now. Raises ProtocolError for one that is not in the map."""
-        names = [rule.condition.register for rule in self._unit.map.states]
-        return self._unit.values.state(dict(self._unit.access.integers(names)))
+        return self._unit.values.state(dict(self._unit.access.integers(self._unit.map.state_registers)))
 
     def await_ready(self) -> None:
         """Wait until the drive has started up. Raises MotionTimeoutError."""

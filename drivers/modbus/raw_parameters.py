@@ -189,11 +189,7 @@ class ModbusRawParameters(RawParameters):
 
     def state(self) -> Steps[DriveState]:
         yield from ()
-        raw = self.access.integers([rule.condition.register for rule in self.map.states])
-        for rule in self.map.states:
-            if rule.condition.holds(raw[rule.condition.register]):
-                return rule.state
-        return DriveState.UNKNOWN
+        return self.map.state_of(self.access.integers(self.map.state_registers))
 
     def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         yield from ()

@@ -19,13 +19,13 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
-from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated
 
 from drivers.errors import InputError
 from drivers.facts import Strength
+from drivers.files import named_file, shipped
 from drivers.modbus.codec import Layout, Order, Raw, RegisterType, decode, encode
 from drivers.modbus.map_facts import UNSTATED, Fact, Origin
 from drivers.modbus.plan import MAX_READ_REGISTERS, MAX_WRITE_REGISTERS, Span, Table
@@ -206,19 +206,12 @@ class RegisterMap:
 
 def shipped_maps() -> dict[str, Path]:
     """The maps that come with the package, by name."""
-    folder = resources.files("drivers.modbus") / "maps"
-    return {Path(str(item)).stem: Path(str(item)) for item in folder.iterdir() if item.name.endswith(".toml")}
+    return shipped("drivers.modbus", "maps")
 
 
 def find_map(name_or_path: str | Path) -> Path:
     """A file that exists, or the name of a shipped map. Raises InputError naming the shipped ones."""
-    path = Path(name_or_path)
-    if path.is_file():
-        return path
-    shipped = shipped_maps()
-    if str(name_or_path) in shipped:
-        return shipped[str(name_or_path)]
-    raise InputError(f"is neither a file nor a shipped register map ({', '.join(sorted(shipped))})", path=path)
+    return named_file(name_or_path, shipped_maps(), "register map")
 
 
 def _finite(value: float, _: Document) -> float:

@@ -101,24 +101,15 @@ def _ask(link: ModbusLink, unit: int) -> str | None:
 def _drive(link: ModbusLink, unit: int, refusal: str, drive_map: DriveMap) -> FoundUnit:
     """A unit read by a register map, as far as it answers."""
     access = RegisterAccess(link, unit, drive_map.registers)
-    names = [rule.condition.register for rule in drive_map.states]
-    names += [name for name in (drive_map.position, drive_map.fault_code) if name is not None]
+    names = (*drive_map.state_registers, drive_map.position, drive_map.fault_code)
     try:
-        raw = access.read(tuple(dict.fromkeys(names)))
+        raw = access.read(tuple(dict.fromkeys(name for name in names if name is not None)))
     except BridgeError as error:
         return FoundUnit(unit, refusal, problem=f"does not fit the register map: {error}")
     return FoundUnit(
         unit,
         refusal,
-        state=_state(drive_map, raw),
+        state=drive_map.state_of(raw),
         position_raw=raw[drive_map.position],
         fault_code=None if drive_map.fault_code is None else raw[drive_map.fault_code] or None,
     )
-
-
-def _state(drive_map: DriveMap, raw: dict[str, Raw]) -> DriveState:
-    for rule in drive_map.states:
-        value = raw[rule.condition.register]
-        if isinstance(value, int) and rule.condition.holds(value):
-            return rule.state
-    return DriveState.UNKNOWN

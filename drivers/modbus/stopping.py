@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from drivers.clock import Clock
 from drivers.drive import FAULTS, DriveSample, DriveState
-from drivers.errors import BridgeError, ProtocolError, TransportError
+from drivers.errors import ProtocolError
 from drivers.limits import DriveLimits
 from drivers.modbus.commands import Commands, hold
 from drivers.modbus.drive_map import DriveMap
@@ -139,8 +139,8 @@ class StoppableUnit(StoppableDrive):
 
     def _glance(self) -> DriveSample:
         """The values that show whether a stop is obeyed; also of a unit in back-off."""
-        names = [rule.condition.register for rule in self.map.states] + [self.map.position]
-        raw = self.access.read(tuple(dict.fromkeys(names)), urgent=True, repeats=0)
+        names = dict.fromkeys((*self.map.state_registers, self.map.position))
+        raw = self.access.read(tuple(names), urgent=True, repeats=0)
         position_mm = self.scaling.load_mm(self.values.position_counts(raw))
         return DriveSample(self.clock.now_ns(), self.values.state(raw), position_mm, target_reached=False)
 
@@ -160,11 +160,5 @@ class StoppableUnit(StoppableDrive):
     def _send_power_off(self, shown: DriveState) -> None:
         self.power.post_off(DriveState.QUICK_STOP if self.commands.stopped else shown)
 
-    def _answers(self) -> bool:
-        try:
-            self._glance()
-        except TransportError:
-            return False
-        except BridgeError:
-            return True
-        return True
+    def _ask(self) -> None:
+        self._glance()

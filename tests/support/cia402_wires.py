@@ -183,8 +183,8 @@ class BareDrive(Cia402Drive):
         if left is Left.OFF:
             self.kept.put_back()
 
-    def _answers(self) -> bool:
-        return True
+    def _ask(self) -> None:
+        """It answers."""
 
     def _release(self) -> None:
         self._open = False
