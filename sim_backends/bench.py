@@ -31,6 +31,7 @@ from sim_backends.plant.parameters import (
     worn_axis,
 )
 from sim_backends.servo import ServoParameters, SimulatedServo
+from sim_backends.terminal import TerminalInstrument
 
 HOMING_REV_S = 5.0
 """Homing velocity towards the switch, motor revolutions per second: 50 mm/s with the usual screw, which stops within 1.3 mm behind the
@@ -190,10 +191,9 @@ class Bench:
             self.gauge = SimulatedGauge(self.plant, p.gauge, p.laser_faults, wait_for_arrival=wait_for_arrival)
             self.clock.attach(self.gauge.advance, bearable=self.gauge.bearable, settle=self.gauge.settle)
             self.laser.close()
+        self._instrument: TerminalInstrument = self.gauge or self.laser
         if p.trigger_input is not None:
-            self.laser.pulse = partial(self._pulse, p.trigger_input)
-            if self.gauge is not None:
-                self.gauge.pulse = self.laser.pulse
+            self._instrument.pulse = partial(self._pulse, p.trigger_input)
 
     def _pulse(self, number: int) -> None:
         for hear in self.servo.fast_inputs:
@@ -220,18 +220,16 @@ class Bench:
     @property
     def laser_path(self) -> str:
         """Path of the port that a reader of the instrument opens."""
-        return self.laser.path if self.gauge is None else self.gauge.path
+        return self._instrument.path
 
     @property
     def has_instrument(self) -> bool:
         """Whether the instrument's terminal is open."""
-        return self.laser.is_open or (self.gauge is not None and self.gauge.is_open)
+        return self._instrument.is_open
 
     def close_instrument(self) -> None:
         """Close the instrument's terminal; readers then see the port vanish."""
-        self.laser.close()
-        if self.gauge is not None:
-            self.gauge.close()
+        self._instrument.close()
 
     def close(self) -> None:
         self.close_instrument()

@@ -1,4 +1,4 @@
-"""The wire of a simulated serial instrument: a pseudo-terminal that loses messages when it is full, and a line that delays them.
+"""A simulated serial instrument: a pseudo-terminal that loses messages when it is full, a line that delays them, faults of its lines.
 
 Messages put during a sleep of simulated time are on the wire when it ends: written, and waited for until the kernel shows them
 at the reader's end. A missing reader never blocks it: when the terminal is full, whole messages are lost.
@@ -13,10 +13,13 @@ import struct
 import termios
 import time
 import tty
+from abc import ABC, abstractmethod
 from collections import deque
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from drivers.errors import InputError
+from sim_backends.faults import Fault, FaultKind, FaultSchedule
 
 PTY_CAPACITY_BYTES = 4000  # a terminal's line discipline holds 4095; beyond that order and loss are the kernel's choice
 _ARRIVAL_BOUND_S = 0.25  # longest real time to wait for the kernel to deliver bytes, s
@@ -146,3 +149,83 @@ class DelayedLine:
         """Put the messages that are due at now_ns (ns) on the wire."""
         while self._waiting and self._waiting[0][0] <= now_ns:
             self._wire.put(self._waiting.popleft()[1])
+
+
+class TerminalInstrument(ABC):
+    """An instrument that sends lines. `path` is what a reader opens; `close` it at the end.
+
+    Attach `advance`, `bearable` and `settle` to the clock after what moves the axis. first_ns: when `_act` is called first, ns; pulse:
+    its trigger output, called at the exact time of each sample.
+    """
+
+    pulse: Callable[[], None] | None = None
+
+    def __init__(
+        self,
+        faults: tuple[Fault, ...],
+        *,
+        first_ns: int,
+        latency_s: float,
+        jitter_s: float,
+        seed: int,
+        wait_for_arrival: bool,
+    ) -> None:
+        self._wire = InstrumentTerminal(wait_for_arrival=wait_for_arrival)
+        self.path = self._wire.path
+        self.counters = self._wire.counters
+        self._line = DelayedLine(self._wire, latency_s, jitter_s, seed)
+        self._faults = FaultSchedule(faults)
+        self._next_ns = first_ns
+
+    def close(self) -> None:
+        """Close the terminal; readers then see the port vanish."""
+        self._wire.close()
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the terminal is open."""
+        return self._wire.is_open
+
+    # -- time ----------------------------------------------------------------------------------------------------------
+    def bearable(self, now_ns: int) -> int:
+        """For SimClock: ns until something is due, so that it happens at its time."""
+        return min(self._next_ns, self._line.next_ns) - now_ns if self._wire.is_open else _NS
+
+    def advance(self, now_ns: int, dt_s: float) -> None:
+        """Do what is due."""
+        if not self._wire.is_open:
+            return
+        while self._next_ns <= now_ns:
+            self._next_ns = self._act(self._next_ns)
+        self._line.release(now_ns)
+
+    def settle(self) -> None:
+        """Send what is due; return once it is at the reader's end."""
+        self._wire.settle()
+
+    @abstractmethod
+    def _act(self, time_ns: int) -> int:
+        """Do what is due at this time (ns); returns the time of the next, ns."""
+
+    # -- lines -----------------------------------------------------------------------------------------------------------
+    def _begin_sample(self, time_ns: int) -> dict[FaultKind, float]:
+        """Count a sample, and send the trigger pulse; returns the faults in force and their sizes."""
+        self.counters.samples += 1
+        if self.pulse is not None:
+            self.pulse()
+        sizes: dict[FaultKind, float] = {}
+        for fault in self._faults.active(time_ns / _NS):
+            sizes[fault.kind] = sizes.get(fault.kind, 0.0) + fault.size
+        return sizes
+
+    def _send(
+        self, text: bytes, end: bytes, time_ns: int, faults: Mapping[FaultKind, float], noise: random.Random
+    ) -> None:
+        """Send a line, with the faults of lines among those given."""
+        if FaultKind.HALF_LINE in faults:
+            text = text[: len(text) * 2 // 3]
+        text += (b"\n", b"\r", b"\r\n")[self.counters.samples % 3] if FaultKind.LINE_ENDS in faults else end
+        if FaultKind.GARBAGE in faults:
+            text += noise.randbytes(int(faults[FaultKind.GARBAGE]) or 8)
+        if FaultKind.SILENCE not in faults:
+            self._line.put(text, time_ns)
