@@ -9,15 +9,15 @@ which ones to write is the caller's decision.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TypeVar
 
-from drivers.clock import Clock
+from drivers.clock import NS_PER_S, Clock
 from drivers.drive import DriveState
-from drivers.errors import BridgeError, InputError, ProtocolError
+from drivers.errors import AbortError, BridgeError, InputError, ProtocolError, TransportError
 from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 
 T = TypeVar("T")
@@ -226,13 +226,77 @@ class RawParameters(ABC):
     def state(self) -> Steps[DriveState]:
         """Its present state (CiA-402 terms)."""
 
-    @abstractmethod
     def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
         """Read; one Access each, in order. After one without any answer the rest is not tried and carries the same error."""
+        found: dict[str, Access] = {}
+        for group in self._read_groups(addresses):
+            accesses = yield from self._try_reading(group)
+            if len(group) > 1 and isinstance(accesses[0].error, AbortError):  # find the one that is refused
+                accesses = []
+                for address in group:
+                    accesses += yield from self._try_reading([address])
+            found |= {each.address: each for each in accesses}
+            tell(accesses)
+            silence = accesses[-1]
+            if isinstance(silence.error, TransportError):
+                left = [address for address in addresses if address not in found]
+                found |= {address: replace(silence, address=address) for address in left}
+                break
+        return [found[address] for address in addresses]
 
-    @abstractmethod
     def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
         """Write in order, up to the first that fails; returns the attempted accesses. Nothing is read back here."""
+        accesses: list[Access] = []
+        for group in self._write_groups(items):
+            tried = yield from self._try_writing(group)
+            if len(group) > 1 and isinstance(tried[-1].error, AbortError):  # find the one that is refused
+                tried = []
+                for item in group:
+                    tried += yield from self._try_writing([item])
+                    if tried[-1].error is not None:
+                        break
+            accesses += tried
+            tell([each for each in tried if each.error is None])
+            if accesses[-1].error is not None:
+                break
+        return accesses
+
+    def _try_reading(self, group: Sequence[str]) -> Steps[list[Access]]:
+        start_ns = self.clock.now_ns()
+        try:
+            values = yield from self._read_group(group)
+        except (AbortError, ProtocolError, TransportError) as error:
+            return [Access(address, self._since_s(start_ns), error=error) for address in group]
+        seconds = self._since_s(start_ns)
+        return [Access(address, seconds, data) for address, data in zip(group, values, strict=True)]
+
+    def _try_writing(self, items: Sequence[tuple[str, bytes]]) -> Steps[list[Access]]:
+        start_ns = self.clock.now_ns()
+        try:
+            yield from self._write_group(items)
+        except BridgeError as error:
+            return [Access(items[0][0], self._since_s(start_ns), error=error)]
+        seconds = self._since_s(start_ns)
+        return [Access(address, seconds) for address, _ in items]
+
+    def _since_s(self, start_ns: int) -> float:
+        return (self.clock.now_ns() - start_ns) / NS_PER_S
+
+    def _read_groups(self, addresses: Sequence[str]) -> Iterable[Sequence[str]]:
+        """The addresses, those together that one access reads."""
+        return [[address] for address in addresses]
+
+    @abstractmethod
+    def _read_group(self, addresses: Sequence[str]) -> Steps[Sequence[bytes]]:
+        """Read a group."""
+
+    def _write_groups(self, items: Sequence[tuple[str, bytes]]) -> Iterable[Sequence[tuple[str, bytes]]]:
+        """The items in order, those together that one access writes."""
+        return [[item] for item in items]
+
+    @abstractmethod
+    def _write_group(self, items: Sequence[tuple[str, bytes]]) -> Steps[None]:
+        """Write a group."""
 
     def show(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[dict[str, bytes]]:
         """Read; address -> bytes. Raises the error of the first failing access."""

@@ -28,25 +28,20 @@ from drivers.cia402.wire import OBJECT_MISSING
 from drivers.drive import DriveState
 from drivers.errors import (
     AbortError,
-    BridgeError,
     CapabilityError,
     InputError,
     NoAnswerError,
     ProtocolError,
-    TransportError,
 )
 from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 from drivers.raw_parameters import (
-    Access,
     DriveIdentity,
     Pause,
     RawForm,
     RawParameter,
     RawParameters,
     Steps,
-    Tell,
     WireTime,
-    no_observer,
 )
 from drivers.scaling import AxisScaling, MotionScaling
 
@@ -224,13 +219,15 @@ class CanOpenRawParameters(RawParameters):
             raise
         return value if isinstance(value, str) else int(value)
 
-    def _reading(self, address: str) -> Steps[bytes]:
+    def _read_group(self, addresses: Sequence[str]) -> Steps[Sequence[bytes]]:
+        (address,) = addresses
         pdo = pdo_at(address)
         if pdo is None:
-            return (yield from self._upload(self._keys[address].entry))
-        return (yield from read_pdo(self._node.sdo, pdo)).pack()
+            return [(yield from self._upload(self._keys[address].entry))]
+        return [(yield from read_pdo(self._node.sdo, pdo)).pack()]
 
-    def _writing(self, address: str, data: bytes) -> Steps[None]:
+    def _write_group(self, items: Sequence[tuple[str, bytes]]) -> Steps[None]:
+        ((address, data),) = items
         pdo = pdo_at(address)
         if pdo is None:
             yield from self._download(self._keys[address].entry, data)
@@ -282,37 +279,6 @@ class CanOpenRawParameters(RawParameters):
     def state(self) -> Steps[DriveState]:
         word = yield from self._optional(objects.STATUSWORD)
         return DriveState.UNKNOWN if not isinstance(word, int) else decode_state(word)
-
-    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
-        accesses: list[Access] = []
-        for number, address in enumerate(addresses):
-            start_ns = self.clock.now_ns()
-            try:
-                data = yield from self._reading(address)
-            except (AbortError, ProtocolError) as error:
-                accesses.append(self._failed(address, start_ns, error))
-            except TransportError as error:
-                accesses += [self._failed(left, start_ns, error) for left in addresses[number:]]
-                return accesses
-            else:
-                accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9, data))
-            tell(accesses[-1:])
-        return accesses
-
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
-        accesses: list[Access] = []
-        for address, data in items:
-            start_ns = self.clock.now_ns()
-            try:
-                yield from self._writing(address, data)
-            except BridgeError as error:
-                return [*accesses, self._failed(address, start_ns, error)]
-            accesses.append(Access(address, (self.clock.now_ns() - start_ns) * 1e-9))
-            tell(accesses[-1:])
-        return accesses
-
-    def _failed(self, address: str, start_ns: int, error: BridgeError) -> Access:
-        return Access(address, (self.clock.now_ns() - start_ns) * 1e-9, error=error)
 
     # -- storing and restoring ---------------------------------------------------------------------------------------------
     def objection_to_store(self) -> Steps[str | None]:

@@ -7,7 +7,7 @@ time: drives on one line take turns.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from fractions import Fraction
 from typing import TypeVar
 
@@ -21,7 +21,6 @@ from drivers.errors import (
     MotionTimeoutError,
     ProtocolError,
     StateError,
-    TransportError,
 )
 from drivers.modbus.codec import OrderMatch, RegisterType, decode, encode, probe_order
 from drivers.modbus.commands import comes_true
@@ -34,7 +33,6 @@ from drivers.modbus.register_map import Memory, Register
 from drivers.modbus.wear import WearLedger
 from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 from drivers.raw_parameters import (
-    Access,
     DriveIdentity,
     Line,
     Pause,
@@ -42,9 +40,7 @@ from drivers.raw_parameters import (
     RawParameter,
     RawParameters,
     Steps,
-    Tell,
     WireTime,
-    no_observer,
 )
 from drivers.scaling import ReportedScaling
 
@@ -191,76 +187,35 @@ class ModbusRawParameters(RawParameters):
         yield from ()
         return self.map.state_of(self.access.integers(self.map.state_registers))
 
-    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
-        yield from ()
-        found: dict[str, Access] = {}
+    def _read_groups(self, addresses: Sequence[str]) -> Iterable[Sequence[str]]:
+        left = dict.fromkeys(addresses)
         for request in self._plan(addresses):
-            inside = [
-                address
-                for address in addresses
-                if address not in found and self._covers(request, self.map.registers[address])
-            ]
-            if not inside:
-                continue
-            accesses = self._read_group(inside)
-            if len(inside) > 1 and isinstance(accesses[0].error, AbortError):  # find the one that is refused
-                accesses = [self._read_group([address])[0] for address in inside]
-            found |= {access.address: access for access in accesses}
-            tell(accesses)
-            silence = accesses[-1].error
-            if isinstance(silence, TransportError):
-                left = [address for address in addresses if address not in found]
-                found |= {address: Access(address, accesses[-1].seconds, error=silence) for address in left}
-                break
-        return [found[address] for address in addresses]
+            inside = [address for address in left if self._covers(request, self.map.registers[address])]
+            left = dict.fromkeys(address for address in left if address not in inside)
+            if inside:
+                yield inside
 
     @staticmethod
     def _covers(request: ReadRequest, register: Register) -> bool:
         return request.table is register.table and request.span.covers(register.span)
 
-    def _read_group(self, names: Sequence[str]) -> list[Access]:
-        start_ns = self.clock.now_ns()
-        try:
-            words = self.access.words(names)
-        except (AbortError, ProtocolError, TransportError) as error:
-            return [Access(name, self._since_s(start_ns), error=error) for name in names]
-        seconds = self._since_s(start_ns)
-        return [Access(name, seconds, _bytes(words[name])) for name in names]
-
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
-        """Neighbours in one request; where that is refused, one by one, to find the one that is refused."""
+    def _read_group(self, addresses: Sequence[str]) -> Steps[Sequence[bytes]]:
         yield from ()
-        accesses: list[Access] = []
+        words = self.access.words(addresses)
+        return [_bytes(words[address]) for address in addresses]
+
+    def _write_groups(self, items: Sequence[tuple[str, bytes]]) -> Iterable[Sequence[tuple[str, bytes]]]:
         places = [self.map.registers[address].place for address, _ in items]
-        for group in group_writes(places, max_registers=self.map.registers.max_write):
-            tried = self._write_group([items[index] for index in group])
-            if len(group) > 1 and isinstance(tried[-1].error, AbortError):
-                tried = []
-                for index in group:
-                    tried += self._write_group([items[index]])
-                    if tried[-1].error is not None:
-                        break
-            accesses += tried
-            tell([each for each in tried if each.error is None])
-            if accesses[-1].error is not None:
-                break
-        return accesses
+        groups = group_writes(places, max_registers=self.map.registers.max_write)
+        return [[items[index] for index in group] for group in groups]
 
-    def _write_group(self, items: Sequence[tuple[str, bytes]]) -> list[Access]:
-        start_ns = self.clock.now_ns()
-        try:
-            for address, _ in items:
-                register = self.map.registers[address]
-                if register.memory is Memory.EEPROM:
-                    self.wear.charge(self.name, address, register.wear_budget)
-            self.access.write_words({address: _words(data) for address, data in items})
-        except BridgeError as error:
-            return [Access(items[0][0], self._since_s(start_ns), error=error)]
-        seconds = self._since_s(start_ns)
-        return [Access(address, seconds) for address, _ in items]
-
-    def _since_s(self, start_ns: int) -> float:
-        return (self.clock.now_ns() - start_ns) * 1e-9
+    def _write_group(self, items: Sequence[tuple[str, bytes]]) -> Steps[None]:
+        yield from ()
+        for address, _ in items:
+            register = self.map.registers[address]
+            if register.memory is Memory.EEPROM:
+                self.wear.charge(self.name, address, register.wear_budget)
+        self.access.write_words({address: _words(data) for address, data in items})
 
     # -- storing and restoring ---------------------------------------------------------------------------------------------
     def objection_to_store(self) -> Steps[str | None]:

@@ -10,7 +10,6 @@ from drivers.errors import BridgeError
 from drivers.parameters import ParameterInfo, ParameterKind, ParameterValue
 from drivers.raw_parameters import (
     SETTLE_S,
-    Access,
     DriveIdentity,
     Line,
     Pause,
@@ -19,9 +18,7 @@ from drivers.raw_parameters import (
     RawParameters,
     Steps,
     T,
-    Tell,
     WireTime,
-    no_observer,
 )
 from hil.parameters.journal import Journal
 from hil.parameters.set_file import ParameterSet
@@ -141,45 +138,22 @@ class PaperDrive(RawParameters):
         self.on_state()
         return self.shown_state
 
-    def _access(self, address: str, act: Callable[[], bytes | None]) -> Access:
-        before_ns = self.clock.now_ns()
+    def _read_group(self, addresses: Sequence[str]) -> Steps[Sequence[bytes]]:
+        (address,) = addresses
+        yield None
+        self.log.append(f"r {address}")
         self.clock.sleep_s(0.001)
-        try:
-            data = act()
-        except BridgeError as error:
-            return Access(address, 1e-9 * (self.clock.now_ns() - before_ns), error=error)
-        return Access(address, 1e-9 * (self.clock.now_ns() - before_ns), data)
+        self.on_read(address)
+        return [self.held[address]]
 
-    def read(self, addresses: Sequence[str], tell: Tell = no_observer) -> Steps[list[Access]]:
-        found = []
-        for address in addresses:
-            yield None
-            self.log.append(f"r {address}")
-
-            def act(address: str = address) -> bytes:
-                self.on_read(address)
-                return self.held[address]
-
-            found.append(self._access(address, act))
-            tell(found[-1:])
-        return found
-
-    def write(self, items: Sequence[tuple[str, bytes]], tell: Tell = no_observer) -> Steps[list[Access]]:
-        found = []
-        for address, data in items:
-            yield None
-            value = int.from_bytes(data, "little")
-            self.log.append(f"w {address} {value}")
-
-            def act(address: str = address, value: int = value, data: bytes = data) -> None:
-                if self.on_write(address, value) is not False:
-                    self.held[address] = data
-
-            found.append(self._access(address, act))
-            tell(found[-1:])
-            if found[-1].error is not None:
-                break
-        return found
+    def _write_group(self, items: Sequence[tuple[str, bytes]]) -> Steps[None]:
+        ((address, data),) = items
+        yield None
+        value = int.from_bytes(data, "little")
+        self.log.append(f"w {address} {value}")
+        self.clock.sleep_s(0.001)
+        if self.on_write(address, value) is not False:
+            self.held[address] = data
 
     def objection_to_store(self) -> Steps[str | None]:
         yield None
