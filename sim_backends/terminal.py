@@ -183,7 +183,6 @@ class TerminalInstrument(ABC):
 
     @property
     def is_open(self) -> bool:
-        """Whether the terminal is open."""
         return self._wire.is_open
 
     # -- time ----------------------------------------------------------------------------------------------------------

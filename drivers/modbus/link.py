@@ -83,7 +83,6 @@ class LinkStatistics:
 
     requests: int = 0
     no_answers: int = 0
-    repeats: int = 0
     resolved_writes: int = 0
     discarded_replies: int = 0
     connects: int = 0
@@ -333,7 +332,6 @@ class ModbusLink:
                         self._missed(state)
                     raise
                 tried += 1
-                self._count(repeats=1)
             else:
                 self._heard(state)
                 return values

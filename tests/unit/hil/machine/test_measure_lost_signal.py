@@ -27,8 +27,7 @@ from hil.records.journal import Campaign
 from hil.records.rows import Records
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.canopen_in_turn import DrivesInTurn
-from sim_backends.canopen_profile import Defect
-from sim_backends.faults import Fault, FaultKind
+from sim_backends.faults import CanFaultKind, Fault, FaultKind
 
 TARGETS = (0.0, 30.0, 61.0, 100.0)
 
@@ -255,9 +254,9 @@ def test_a_drive_that_was_switched_off_meanwhile_is_not_enabled(
         def door(now_ns: int, _dt_s: float) -> None:
             now_s = (now_ns - started_ns) / NS_PER_S
             if switched_off and 13.0 <= now_s < 14.0:
-                profile.defects.add(Defect.SAFE_TORQUE_OFF)
+                profile.defects.add(CanFaultKind.SAFE_TORQUE_OFF)
             else:
-                profile.defects.discard(Defect.SAFE_TORQUE_OFF)
+                profile.defects.discard(CanFaultKind.SAFE_TORQUE_OFF)
             if now_s > 14.0:
                 states.append(profile.state)
 
