@@ -251,15 +251,16 @@ def download_job(axis: DriveAxis, contents: ParameterSet) -> Job:
     return _writing(axis, DOWNLOAD, contents, [Write("parameters", contents.name)])
 
 
-def store_job(axis: DriveAxis, contents: ParameterSet) -> Job:
-    """Job that has the drive store the set that it holds, and returns a JobReport. Its work raises StateError where it holds
-    another."""
+def store_job(axis: DriveAxis, contents: ParameterSet, *, audit: bool = False) -> Job:
+    """Job that has the drive store the set that it holds, and returns a JobReport. audit: a restart shows whether it kept all of it.
+    Its work raises StateError where it holds another."""
 
     def work(place: Workplace) -> JobReport:
         if not _compared(axis, contents, place).same:
             raise StateError("the drive does not hold this set, so it was not told to store it")
+        ask = place.tell if audit else None
         (report,) = write_axes(
-            [axis], [contents], store=True, progress=_progress_events(place), connect=_connect(place)
+            [axis], [contents], store=True, ask=ask, progress=_progress_events(place), connect=_connect(place)
         )
         return report
 

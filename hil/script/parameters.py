@@ -52,11 +52,11 @@ class Parameters:
 
         return self._written(job.download_job(self._file, self._set(wanted)))
 
-    def store(self, wanted: Wanted) -> ParameterWriting:
-        """Have the drive keep a set that it holds. Raises StateError where it holds another."""
+    def store(self, wanted: Wanted, *, audit: bool = False) -> ParameterWriting:
+        """Have the drive keep a set that it holds. audit: prove it by a restart. Raises StateError where it holds another."""
         from hil.parameters import job  # noqa: PLC0415  (drivers load slowly)
 
-        return self._written(job.store_job(self._file, self._set(wanted)))
+        return self._written(job.store_job(self._file, self._set(wanted), audit=audit))
 
     def restore(self) -> ParameterWriting:
         """Put back the values before the last download. Raises InputError where there is none: download a backup instead."""

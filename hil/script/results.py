@@ -331,17 +331,22 @@ class ParameterWriting(Result):
         return self.raw.good
 
     @property
+    def audited(self) -> bool | None:
+        """Whether the drive held what it stored after a restart; None where no audit was asked for."""
+        return self.raw.audited
+
+    @property
     def objections(self) -> tuple[str, ...]:
         """Why nothing was written: unknown addresses, values that do not fit, another model. Empty for none."""
         return tuple(map(str, self.raw.objections))
 
     @property
     def sentence(self) -> str:
-        """How it ended, and why where it failed."""
-        why = "; ".join(filter(None, (self.raw.error, *self.objections)))
+        """How it ended, what is known of the drive's memory, and why it failed."""
+        why = "; ".join(filter(None, (self.raw.kept, self.raw.error, *self.objections)))
         return f"parameters of {self.axis.name}: {self.raw.ending.value}{f': {why}' if why else ''}"
 
     def form(self) -> Mapping[str, Any]:
         """How it ended."""
         told = {"axis": self.axis.name, "good": self.good, "ending": self.raw.ending.name}
-        return {**told, "objections": self.objections}
+        return {**told, "audited": self.audited, "objections": self.objections}

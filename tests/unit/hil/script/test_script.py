@@ -350,7 +350,13 @@ def test_a_simulated_drive_keeps_its_parameters_as_long_as_it_is_open(path: Path
         assert parameters.verify(wanted).good, "moved meanwhile"
         assert axis.bench is bench
         assert axis.read().motor_mm == pytest.approx(20.0, abs=0.01), "where it was"
-        assert parameters.store(wanted).good
+        stored = parameters.store(wanted)
+        assert stored.good
+        assert stored.audited is None
+        assert "not proven" in stored.sentence
+        stored = parameters.store(wanted, audit=True)
+        assert stored.audited
+        assert "after its restart it still holds all of it" in stored.sentence
         assert parameters.restore().good
         assert parameters.verify({"6072h": was}).good
     with hil.open(path) as axis:
