@@ -7,6 +7,7 @@ several drives; the code that made the link closes it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
@@ -88,6 +89,7 @@ class CanOpenDrive(StoppableNode):
                 raise NoAnswerError(
                     f"{error}; its heartbeat says NMT stopped, where a node answers no SDO: start it"
                 ) from error
+            self.monitor.expect_heartbeat(math.inf)  # what was read before a restart may not hold after it
             self.sampler.specs = sampled_pdos(self.sdo, self.node_id)
             vendor, eds = self.identity.vendor_id, self.node.eds
             self._take_up(self.sdo, self.sampler, vendor if eds is None else eds.maker(vendor))

@@ -74,7 +74,7 @@ class NodeMonitor:
         self.boot_ups = 0
         self.heartbeats = 0
         self._heard_ns: int | None = None
-        self._limit_ns: int | None = None
+        self._limit_ns: float | None = None
         self._expect_boot = False
         self._rebooted = False
         link.subscribe(HEARTBEAT + node_id, self._on_heartbeat)
@@ -91,8 +91,9 @@ class NodeMonitor:
         self.link.send(NMT, bytes((command, self.node_id)))
 
     def expect_heartbeat(self, within_s: float | None) -> None:
-        """From now on a heartbeat must come within this time, s; None: not supervised."""
-        self._limit_ns = None if within_s is None else round(within_s * NS_PER_S)
+        """From now on a heartbeat must come within this time, s, and a boot-up without a command is a restart; math.inf: none has to
+        come; None: not supervised."""
+        self._limit_ns = None if within_s is None else within_s * NS_PER_S
         self._heard_ns = self.link.clock.now_ns()
 
     def check(self, *, answered: bool = False) -> None:

@@ -732,6 +732,24 @@ def test_a_heartbeat_is_judged_once_what_came_was_received(
             rig.run(0.1)
 
 
+@pytest.mark.parametrize("read_last", [(0x6502, 0), (0x608F, 1)])
+def test_a_restart_while_it_is_opened_is_noticed(make: MakeRig, read_last: tuple[int, int]) -> None:
+    """What was read of the drive before it, such as its units, may not hold after it."""
+    rig = make()
+    slave, value = rig.bench.slave, rig.bench.slave.dictionary.number(*read_last)
+    restarts = iter([slave.boot])
+
+    def read() -> int:
+        for restart in restarts:
+            restart(rig.bench.clock.now_ns())
+        return value
+
+    slave.dictionary.on_read(*read_last, read)
+    with pytest.raises(LinkLostError, match="node 5 restarted by itself; open it again"):
+        rig.opened()
+    assert rig.opened().sample().state is DriveState.SWITCH_ON_DISABLED
+
+
 def test_a_restart_is_noticed(make: MakeRig) -> None:
     rig = make(CanFault(K.REBOOT, at_s=1.0))
     drive = rig.opened()
