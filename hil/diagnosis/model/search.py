@@ -19,8 +19,6 @@ from hil.effects import Effect
 MOST_PARTS = 6
 NEAR = 8.0
 """Log odds below the best candidate down to which others are followed."""
-SAME_NOISE = 4.0
-"""Log odds below the best memory from which another one is no longer asked."""
 FEWEST_RUNS = 3
 """Runs from which a function of the place must show in more than one of them."""
 REFINED, FOLLOWED = (8, 3), (6, 2)
@@ -58,12 +56,11 @@ class Search:
         return Fit(self.rows, parts, self.scored(parts)[0].noise)
 
     def _fits(self, parts: Sequence[Part]) -> list[Fit]:
-        """Under their likeliest noise model, another memory that is nearly as likely, and usual offsets."""
-        best, *others = self.scored(parts)
-        noises = [best.noise, *[one.noise for one in others if one.log_p > best.log_p - SAME_NOISE][:1]]
-        if best.noise.has_large_offsets:
-            noises.append(best.noise.with_usual_offsets())
-        return [Fit(self.rows, parts, noise) for noise in noises]
+        """Under their likeliest noise model, and usual offsets."""
+        fits = [self.fit(parts)]
+        if fits[0].noise.has_large_offsets:
+            fits.append(Fit(self.rows, parts, fits[0].noise.with_usual_offsets()))
+        return fits
 
     def alternatives(self, parts: Sequence[Part], *, remainder: bool = True) -> list[Alternative]:
         """What may be added to the parts, the likeliest first."""
@@ -192,12 +189,13 @@ class Search:
     def _effects_instead(self, others: tuple[Part, ...], part: Part, worth: float) -> tuple[Part, ...] | None:
         """Two effects in the place of a flexible part that holds both, where they are likelier than this.
 
-        Each may show beside it, or beside a course of time, and not alone.
+        Each may show beside it, or beside a course of time, and not alone. The next effect gains less than the last one: where that
+        gained less than is missing, no two do.
         """
         current = others if part.is_remainder else (*others, part)
         for _ in range(3):
             best = next(iter(self.alternatives(current, remainder=False)), None)
-            if best is None:
+            if best is None or worth - best.log_p > best.log_p - self.scored(current)[0].log_p:
                 return None
             current = (*current, best.part)
             for trial in (current, tuple(one for one in current if one in others or not _is_flexible(one))):

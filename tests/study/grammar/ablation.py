@@ -28,7 +28,7 @@ from study.grammar.machine import LOTS, SEEDS
 from hil.diagnosis.model import diagnosing, verdict
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.diagnosing import Case
-from hil.diagnosis.model.evidence import Fit, Noise
+from hil.diagnosis.model.evidence import Noise
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.search import Search
@@ -43,7 +43,6 @@ PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "effects instead": (Search, "_effects_instead", lambda *_: None),
     "few rows": (Search, "rests_on_few", lambda *_: False),
     "ranges": (Search, "_against", lambda *_: 0.0),
-    "other noises": (Search, "_fits", lambda search, parts: [Fit(search.rows, parts, search.scored(parts)[0].noise)]),
     "usual offsets": (Noise, "has_large_offsets", False),
     "refined": (Catalogue, "refined", lambda _, part, __: part),
     "richer forms": (Catalogue, "richer", lambda *_: ()),
