@@ -235,6 +235,8 @@ class RawParameters(ABC):
                 accesses = []
                 for address in group:
                     accesses += yield from self._try_reading([address])
+                    if isinstance(accesses[-1].error, TransportError):
+                        break
             found |= {each.address: each for each in accesses}
             tell(accesses)
             silence = accesses[-1]

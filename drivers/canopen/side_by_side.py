@@ -60,6 +60,8 @@ class CanLine(Line):
             finally:
                 for turn in turns.values():  # an exception ends all of them
                     self._end(turn)
+                for job in jobs:
+                    job.close()
         return [results[number] for number in range(len(jobs))]
 
     def _advance(

@@ -61,10 +61,10 @@ def _read(backup: Backup, everything: bool, progress: Progress) -> Steps[None]:
 
 
 def _refuse_silence(errors: Sequence[BridgeError | None]) -> None:
-    """Raises the last error where the drive stopped answering. Refused objects do not prevent a backup."""
-    last = errors[-1] if errors else None
-    if isinstance(last, TransportError):
-        raise last
+    """Raises the error of a drive that stopped answering: the rest was not read. Refused objects do not prevent a backup."""
+    for error in errors:
+        if isinstance(error, TransportError):
+            raise error
 
 
 def set_of(name: str, identity: DriveIdentity | None, entries: Sequence[SetEntry]) -> ParameterSet:

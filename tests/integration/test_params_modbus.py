@@ -89,6 +89,15 @@ def test_every_request(kind: str, forty: Path, tmp_path: Path) -> None:
     assert sum(said.values()) == 2 * len(requests)
 
 
+def test_a_drive_that_is_cut_off_at_any_request_of_a_backup_has_none(forty: Path) -> None:
+    """Requests go by table and address, so that the last one answered is not the last one of the map."""
+    undisturbed = FaultyLine(FortyFace(), SimClock(), Fault())
+    assert back_up([connect(forty, undisturbed)])[0].contents is not None
+    for at in range(1, undisturbed.exchanges + 1):
+        backup = back_up([connect(forty, FaultyLine(FortyFace(), SimClock(), Fault("cable pulled", at, 1e6)))])[0]
+        assert (backup.contents, backup.error) == (None, "no answer"), at
+
+
 def test_time_on_the_line_is_as_predicted(forty: Path, tmp_path: Path) -> None:
     line = FaultyLine(FortyFace(), SimClock(), Fault())
     drive = connect(forty, line)

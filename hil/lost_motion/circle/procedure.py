@@ -169,11 +169,12 @@ def _stream(
                 for axis, own, target, across_um in zip(axes, points, targets, _across_um(axes, targets), strict=True)
             ]
             places = stream.cycle(commands)
-            now_ns = first.clock.now_ns()
-            for axis, own, rows, tell, place_mm in zip(axes, points, samples, found, places, strict=True):
+            for axis, own, rows, tell, place_mm, seen in zip(
+                axes, points, samples, found, places, stream.found, strict=True
+            ):
                 own.issued()
                 axis.command_state.found_at(place_mm)
-                tell(now_ns, place_mm, feed)
+                tell(*seen, feed)
                 rows.extend(axis.readings())
             if index % every == 0:
                 listener(Event(stage, done=min(seconds, round(index * period_s)), total=seconds))
