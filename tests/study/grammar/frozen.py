@@ -127,10 +127,9 @@ HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. A generator that shares no code with the
 diagnosis draws the machines, from seed 810700 on. Nobody had looked at a machine before it was judged. Four things have changed since:
-a wave along the travel that no other column changes is no remainder (seeds from 810770 on were judged so); effects are
-not ranked a second time beside a smoother table, nor beside a second memory of the noise; and effects are tried in the place of a
-remainder only while they gain what is missing. Seeds up to 810717 were judged again with the present code, after those machines had
-helped to decide the last two changes. Of these 126 machines one, a clean one, is no longer right.
+a wave along the travel that no other column changes is no remainder (seeds from 810770 on were judged so); effects are ranked beside
+one memory of the noise and no smoother table; they replace a remainder only while they gain what is missing. Seeds up to 810717 were
+judged again with the present code; they had helped to decide the last two. Of these 126 machines one, a clean one, is no longer right.
 
 | Command | What it does |
 |---|---|
