@@ -46,6 +46,7 @@ EXCEPTIONS = {
     "hil.diagnosis.__getattr__": "Python calls it",
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",
     "hil.testing.plugin.pytest_addoption": "pytest calls it",
+    "sim_backends.canopen_station.attach_to_wire": "a drive on the wire of the tests, whose frames take their time",
     "sim_backends.modbus_drive.ModbusServer.drop_connections": "a fault of a server that tests play",
 }
 """Function -> why it stays although nothing reaches it."""
