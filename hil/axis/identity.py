@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime
 from pathlib import Path
 
 from hil.axis.axis_file import AxisConfig, DriveAxis, InstrumentConfig
@@ -18,6 +19,16 @@ def drive_in_words(axis: DriveAxis) -> str:
         "modbus": f"Modbus unit {drive.unit} on {drive.url}, {drive.register_map}",
     }
     return where[drive.backend] + (", simulated" if drive.simulated else "") + like
+
+
+def now_in_words() -> str:
+    """Present date and local time, as a report shows it."""
+    return datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+
+
+def measured_now(axis: DriveAxis) -> dict[str, str]:
+    """Axis, drive and time of a measurement that has just ended, name -> text."""
+    return {"Axis": axis.name, "Drive": drive_in_words(axis), "Measured": now_in_words()}
 
 
 def identity(axis: AxisConfig) -> dict[str, str]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from hil.axis.backlash import BacklashConfig
-from hil.axis.identity import drive_in_words
+from hil.axis.identity import measured_now
 from hil.backlash.neutral_settings import BacklashSettings
 from hil.backlash.result import NAMES, TorqueBacklash, reversal_json
 from hil.backlash.settings import NoSetting
@@ -129,9 +128,7 @@ class BacklashResult(Result):
         """What was measured, and how, as label -> text."""
         how = self.how
         return {
-            "Axis": self.axis.name,
-            "Drive": drive_in_words(self.axis),
-            "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+            **measured_now(self.axis),
             "Reversals": ", ".join(f"{NAMES[each]} at {how.turning_mm(each):g} mm" for each in how.directions),
             "Feed": how.feed if how.feed == "steps" else f"creep at {how.creep_um_s:g} µm/s, averaged over steps",
             "Steps": f"{how.step_um:g} µm at {how.velocity_mm_s:g} mm/s, {how.readings} readings after {how.settle_s:g} s at rest",

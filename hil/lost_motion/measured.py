@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hil.axis.axis_file import AxisConfig
-from hil.axis.identity import drive_in_words
+from hil.axis.identity import measured_now
 from hil.axis.lost_motion import LostMotionConfig
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.records.rows import Records
@@ -115,9 +114,7 @@ class ReversalResult(MeasuredResult):
         """What was measured, and how, as label -> text."""
         how = self.how
         return {
-            "Axis": self.axis.name,
-            "Drive": drive_in_words(self.axis),
-            "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+            **measured_now(self.axis),
             "Strokes": f"{how.stroke_mm:g} mm around {how.at_mm:g} mm, {how.runs} to and fro,"
             f" {how.places} places after each turning",
             "Proof": f"{how.proof_moves} moves of all lengths there, before and after",

@@ -15,7 +15,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from drivers.errors import InputError
 from drivers.files import decode_text, read_bytes, read_text, replace_file
 from hil.axis.axis_file import AxisConfig, load_axis, uncertainty_of
-from hil.axis.identity import identity
+from hil.axis.identity import identity, now_in_words
 from hil.calibration.job import CALIBRATE, VERIFY
 from hil.correction.sealed import SealedError, check, check_detached, fingerprint, is_sealed, load_public_key
 from hil.correction.tables import Band
@@ -25,7 +25,7 @@ from hil.records.files import parse_json
 from hil.records.journal import FINISHED, name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
 from hil.report.issue_certificate import Order, builder_key, form, made_certificate, write_signed
-from hil.report.job import now, write_report
+from hil.report.job import write_report
 from hil.ui.terminal.output import write_json
 
 if TYPE_CHECKING:  # plots are slow to import
@@ -100,7 +100,7 @@ def run(args: argparse.Namespace) -> int:
         uncertainty=None if axis is None else uncertainty_of(axis),
         limit_um=args.limit if args.limit is not None or axis is None else axis.correction.accuracy_limit_um,
         signatures=signed,
-        created=now(),
+        created=now_in_words(),
     )
     failed = (args.certificate or args.dcc) and _certify(args, axis, campaigns, diagnosis)
     digest = write_report(document, Path(args.out), Path(args.pdf) if args.pdf else None)

@@ -119,8 +119,8 @@ def made_certificate(order: Order) -> Certificate:
 
 
 def _common(order: Order, paths: Sequence[str]) -> Common:
+    from hil.axis.identity import now_in_words  # noqa: PLC0415
     from hil.report.certificate import Common  # noqa: PLC0415
-    from hil.report.job import now  # noqa: PLC0415
 
     axis, names = order.axis, [name_of(path) for path in paths]
     shown = names if len(set(names)) == len(names) else list(paths)
@@ -129,7 +129,7 @@ def _common(order: Order, paths: Sequence[str]) -> Common:
     doubts = tuple(doubt for path in rows if (doubt := check_as_measured(path, axis.name)))
     begun, ended = _days(order.measured, paths)
     simulator = axis.drive.is_simulated or any(map(simulated, paths))
-    return Common(axis, files, begun, ended, now(), order.limit_um, doubts, simulator)
+    return Common(axis, files, begun, ended, now_in_words(), order.limit_um, doubts, simulator)
 
 
 def _days(stated: str | None, paths: Sequence[str]) -> tuple[date, date]:

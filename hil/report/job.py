@@ -5,13 +5,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 
 from drivers.errors import InputError
 from drivers.files import read_bytes, read_text, replace_file
 from hil.axis.axis_file import AxisConfig, uncertainty_of
-from hil.axis.identity import identity
+from hil.axis.identity import identity, now_in_words
 from hil.desk.worker_process import Passes, Work
 from hil.diagnosis.stored import read_stored, stored_beside
 from hil.figures.history import find_campaigns, history, usual_pass
@@ -56,13 +55,8 @@ def report_data(axis: AxisConfig, campaigns: Sequence[Passes], diagnosis: Path |
         band_targets_mm=axis.measurement.targets_mm,
         uncertainty=uncertainty_of(axis),
         limit_um=axis.correction.accuracy_limit_um,
-        created=now(),
+        created=now_in_words(),
     )
-
-
-def now() -> str:
-    """Present date and local time, as a report shows it."""
-    return datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
 
 
 def write_report(data: ReportData, html: Path, pdf: Path | None) -> str:

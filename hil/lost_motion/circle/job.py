@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 from hil.axis.axis_file import AxisConfig
-from hil.axis.identity import drive_in_words
+from hil.axis.identity import drive_in_words, now_in_words
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, compensation_in_force
 from hil.desk.job import Job, Workplace
@@ -214,7 +213,7 @@ def report_html(driven: DrivenCircle) -> str:
     identity = {
         "Axes": " and ".join(names),
         "Drives": " and ".join(drive_in_words(axis) for axis in axes),
-        "Measured": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "Measured": now_in_words(),
         "Circle": f"{circle.radius_mm:g} mm around {circle.centre_mm[0]:g}, {circle.centre_mm[1]:g} mm,"
         f" {'counter-' if circle.sense > 0 else ''}clockwise at {60 * circle.feed_mm_s:g} mm/min",
     }
