@@ -29,6 +29,8 @@ from drivers.errors import LinkLostError, StateError
 from drivers.listening import Listening
 from drivers.system_errors import told_with_remedy
 
+FASTEST = 1_000_000
+"""The highest bit rate of CAN, bit/s: what does not fit it fits no bus."""
 POLL_S = 0.05
 """Longest time that `poll` dispatches, s. A frame takes about 30 µs, so this empties a socket's default receive buffer (about 280
 frames) five times over; an endless stream brings a frame every 47 µs at most (1 Mbit/s, no data)."""
@@ -60,12 +62,13 @@ def _selectable(bus: can.BusABC) -> bool:
 class CanLink:
     """A python-can bus with its clock.
 
-    bus: an open python-can bus of any interface; closed with the link.
+    bus: an open python-can bus of any interface; closed with the link. bitrate: of the bus, bit/s; by default the fastest of CAN.
     """
 
-    def __init__(self, bus: can.BusABC, clock: Clock) -> None:
+    def __init__(self, bus: can.BusABC, clock: Clock, bitrate: int = FASTEST) -> None:
         self.bus = bus
         self.clock = clock
+        self.bitrate = bitrate
         self.place = place_of(bus)  # in errors
         self._channel: str | int = self.place
         self.error_frames = 0
@@ -103,7 +106,7 @@ class CanLink:
         settings: dict[str, object] = dict(options or {})
         if bitrate is not None:
             settings["bitrate"] = bitrate
-        link = cls(open_adapter(interface, channel, settings), clock)
+        link = cls(open_adapter(interface, channel, settings), clock, bitrate or FASTEST)
         link._channel, link.place = channel, f"{interface} {channel}"
         return link
 

@@ -36,7 +36,6 @@ from drivers.drive import (
 )
 from drivers.errors import (
     AbortError,
-    CapabilityError,
     InputError,
     NoAnswerError,
     ProtocolError,
@@ -236,10 +235,4 @@ class CanOpenDrive(StoppableNode):
         return None if self.node.table is None else CanOpenCorrectionTable(self.node, self.node.table)
 
     def _stream(self, settings: SetPointSettings, others: Sequence[ServoDrive]) -> CyclicStream:
-        in_step = [self, *(drive for drive in others if isinstance(drive, CanOpenDrive) and drive.link is self.link)]
-        if len(in_step) <= len(others):
-            names = ", ".join(drive.name for drive in (self, *others))
-            raise CapabilityError(
-                f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
-            )
-        return CyclicStream(in_step, settings)
+        return CyclicStream([self, *others], settings)

@@ -53,7 +53,7 @@ _PAIRS = (("607B:01", "607B:02"), ("607D:01", "607D:02"))
 
 
 class CanOpenRawParameters(RawParameters):
-    """Parameters of one node, which is open. Without a maker's file: the standard's objects, without limits. bitrate: for `cost`.
+    """Parameters of one node, which is open. Without a maker's file: the standard's objects, without limits.
 
     scaling, velocity_unit, acceleration_unit: of the axis file, for the units of velocities and accelerations, which `identify` reads;
     units: these, where they are known. Without one of both these objects are shown without a unit.
@@ -64,7 +64,6 @@ class CanOpenRawParameters(RawParameters):
         node: Node,
         line: CanLine,
         *,
-        bitrate: int = 1_000_000,
         scaling: AxisScaling | None = None,
         velocity_unit: str | None = None,
         acceleration_unit: str | None = None,
@@ -73,7 +72,6 @@ class CanOpenRawParameters(RawParameters):
         self.name = node.name
         self.line: CanLine = line
         self.clock = line.link.clock
-        self.bitrate = bitrate
         self.assumed = node.eds is None
         self.path = None if node.eds is None else node.eds.path
         self._node = node
@@ -196,7 +194,7 @@ class CanOpenRawParameters(RawParameters):
     def cost(self, reads: Sequence[tuple[str, bytes]], writes: Sequence[tuple[str, bytes]]) -> WireTime:
         sizes = [size for address, data in reads for size in _sizes(address, data, written=False)]
         sizes += [size for address, data in writes for size in _sizes(address, data, written=True)]
-        return sum((transfer(size, self.bitrate) for size in sizes), WireTime())
+        return sum((transfer(size, self.line.link.bitrate) for size in sizes), WireTime())
 
     # -- transfers -------------------------------------------------------------------------------------------------------
     def _upload(self, entry: Entry) -> Steps[bytes]:

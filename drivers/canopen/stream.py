@@ -28,7 +28,7 @@ from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
 from drivers.cia402.state_machine import Command, decode_state
 from drivers.clock import NS_PER_S
-from drivers.drive import DriveState
+from drivers.drive import DriveState, ServoDrive
 from drivers.errors import (
     AbortError,
     BridgeError,
@@ -42,8 +42,6 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.shutdown import stop_together
 from drivers.undo import undo_all
 
-BITRATE = 1_000_000
-"""The fastest of CAN, bit/s: a cycle that does not fit it fits no bus."""
 FEEDBACK_SHARE = 0.8
 """Share of the period within which feedback must have come."""
 LATE_LIMIT = 3
@@ -64,14 +62,21 @@ class CyclicStream(SetPointStream):
     did not send.
     """
 
-    def __init__(self, drives: Sequence[StoppableNode], settings: SetPointSettings) -> None:
+    def __init__(self, drives: Sequence[ServoDrive], settings: SetPointSettings) -> None:
+        """Raises CapabilityError for drives that are not all on one bus."""
+        nodes = [drive for drive in drives if isinstance(drive, StoppableNode)]
+        if len(nodes) < len(drives) or any(node.link is not nodes[0].link for node in nodes):
+            names = ", ".join(drive.name for drive in drives)
+            raise CapabilityError(
+                f"drives {names} are not all on one CAN bus, so that no SYNC could pace them together"
+            )
         self.settings = settings
         self.cycles = self.missed_cycles = self.late_feedback = self.foreign_syncs = 0
         self.reached_ns = 0  # when SYNC is sent next, too
         self.found = [(0, math.nan)] * len(drives)
-        self.link = drives[0].link
+        self.link = nodes[0].link
         self.clock = self.link.clock
-        self._drives = tuple(drives)
+        self._drives = tuple(nodes)
         self._axes = [
             Axis(
                 drive.node,
@@ -83,7 +88,7 @@ class CyclicStream(SetPointStream):
                 mode=drive.modes.streaming or Mode.CYCLIC_POSITION,
                 kind=SYNC_EVERY if drive.connection.rpdo is None else drive.connection.rpdo.kind,
             )
-            for drive in drives
+            for drive in nodes
         ]
         self._last_first = sorted(self._axes, key=lambda axis: -axis.tpdo.cob_id)
         self._sync_message = can.Message(arbitration_id=SYNC, data=b"", is_extended_id=False)
@@ -120,7 +125,7 @@ class CyclicStream(SetPointStream):
 
     def _check_fit(self, *staying: SyncFollower) -> None:
         """Raise InputError unless the cycle fits the bus, with the TPDOs of other drives that answer its SYNC."""
-        cycle = Cycle(self.settings.period_s * 1e6, BITRATE)
+        cycle = Cycle(self.settings.period_s * 1e6, self.link.bitrate)
         pdos = {axis.node.node_id: (axis.rpdo, axis.tpdo) for axis in self._axes}
         refuse_errors(lint(pdos | {follower.node_id: tuple(follower.specs) for follower in staying}, cycle=cycle))
 

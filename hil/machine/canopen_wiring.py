@@ -23,15 +23,14 @@ def canopen_drive(
 ) -> CanOpenDrive:
     """The CANopen drive of an axis file, not opened. bus: python-can's interface and channel."""
     config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus
-    bitrate = None if interface == "virtual" else config.bitrate
     shared = Links() if links is None else links
     if bus not in shared.can and shared.network is not None:
         from drivers.canopen.beside import SharedBus  # noqa: PLC0415  (the canopen package is slow to import)
 
-        shared.can[bus] = stack.enter_context(CanLink(SharedBus(shared.network), clock))
+        shared.can[bus] = stack.enter_context(CanLink(SharedBus(shared.network), clock, config.bitrate))
     if bus not in shared.can:
         shared.can[bus] = stack.enter_context(
-            CanLink.open(clock, interface=interface, channel=channel, bitrate=bitrate)
+            CanLink.open(clock, interface=interface, channel=channel, bitrate=config.bitrate)
         )
     settings = CanOpenSettings(
         sdo_timeout_s=config.sdo_timeout_s,

@@ -59,8 +59,7 @@ def who_is_there(axis: DriveAxis) -> str:
             from drivers.canopen.bus import CanLink  # noqa: PLC0415  (as above)
 
             clock = WallClock()
-            bitrate = None if drive.interface == "virtual" else drive.bitrate
-            with CanLink.open(clock, interface=drive.interface, channel=drive.channel, bitrate=bitrate) as link:
+            with CanLink.open(clock, interface=drive.interface, channel=drive.channel, bitrate=drive.bitrate) as link:
                 return f"looked for node {drive.node_id} on {drive.channel}; {canopen_nodes(link)}"
         if drive.backend == "modbus":
             endpoint = modbus_endpoint(axis)

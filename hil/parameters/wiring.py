@@ -79,7 +79,8 @@ def unconnected_parameters(axes: Sequence[DriveAxis]) -> Iterator[list[RawParame
                 continue
             bus = axis.drive.interface, axis.drive.channel
             if bus not in lines.can:
-                link = CanLink.open(clock, interface="virtual", channel=f"nobody-{uuid.uuid4().hex}")
+                name = f"nobody-{uuid.uuid4().hex}"
+                link = CanLink.open(clock, interface="virtual", channel=name, bitrate=axis.drive.bitrate)
                 lines.can[bus] = CanLine(stack.enter_context(link))
             drives.append(_canopen(axis, bus, lines, stack))
         yield drives
@@ -105,7 +106,9 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack, running: RunningBen
         can = (running or stack.enter_context(running_bench([axis], waiting=lines.waiting))).can
         if can is not None:
             bus = ("bench", axis.name)
-            lines.can[bus] = CanLine(stack.enter_context(CanLink(can.master(waits=True), can.clock)))
+            lines.can[bus] = CanLine(
+                stack.enter_context(CanLink(can.master(waits=True), can.clock, axis.drive.bitrate))
+            )
             return _canopen(axis, bus, lines, stack)
     raise CapabilityError(
         f"axis {axis.name}: its drive ({axis.drive.backend}) has no parameters that could be written as a set"
@@ -115,8 +118,7 @@ def _drive(axis: DriveAxis, lines: _Lines, stack: ExitStack, running: RunningBen
 def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawParameters:
     config, (interface, channel) = axis.drive, bus
     if bus not in lines.can:
-        bitrate = None if interface == "virtual" else config.bitrate
-        link = CanLink.open(lines.wall_clock, interface=interface, channel=channel, bitrate=bitrate)
+        link = CanLink.open(lines.wall_clock, interface=interface, channel=channel, bitrate=config.bitrate)
         lines.can[bus] = CanLine(stack.enter_context(link))
     eds = None if config.eds is None else load_eds(config.eds, config.node_id)
     table = load_table_map(config.correction_table) if config.correction_table else None
@@ -126,7 +128,6 @@ def _canopen(axis: DriveAxis, bus: Bus, lines: _Lines, stack: ExitStack) -> RawP
     return CanOpenRawParameters(
         node,
         lines.can[bus],
-        bitrate=config.bitrate,
         scaling=axis.scaling,
         velocity_unit=config.velocity_unit,
         acceleration_unit=config.acceleration_unit,

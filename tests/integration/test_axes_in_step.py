@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from support.two_axes import lay_out_axes
 
+from drivers.canopen.stream import CyclicStream
 from drivers.drive import Capability, DriveState, ServoDrive
 from drivers.errors import CapabilityError, InputError, LimitError, StateError
 from drivers.set_points import SetPointSettings
@@ -172,6 +173,8 @@ def test_axes_that_nothing_paces_together_are_refused(tmp_path: Path) -> None:
         one, other = first[0].session.drive, second[0].session.drive
         with pytest.raises(CapabilityError, match="not all on one CAN bus"):
             one.stream(SetPointSettings(0.01), [other])
+        with pytest.raises(CapabilityError, match="not all on one CAN bus"):
+            CyclicStream([one, other], SetPointSettings(0.01))
     with connected_ideal(axes_of(tmp_path / "more", "virtual")) as machines:
         stream = machines[0].session.drive.stream(SetPointSettings(0.01), [machines[1].session.drive])
         with pytest.raises(StateError, match="cannot stream"):

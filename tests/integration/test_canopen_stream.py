@@ -59,7 +59,7 @@ def _rig(
 ) -> Rig:
     node_ids = tuple(range(1, axes + 1))
     bench = CanBench(node_ids, bitrate, faults or {})
-    link = stack.enter_context(CanLink(bench.port(), bench.clock))
+    link = stack.enter_context(CanLink(bench.port(), bench.clock, bitrate or MEGABIT))
     drives = []
     for node_id in node_ids:
         drive = CanOpenDrive(
@@ -140,6 +140,27 @@ def test_a_cycle_that_cannot_fit_is_refused_before_anything_is_written(stack: Ex
     ):
         pytest.fail("entered")
     assert rig.bench.wire.frames == frames
+
+
+@pytest.mark.parametrize(
+    ("bitrate", "period_s", "share"), [(500_000, 0.0007, 76), (250_000, 0.0015, 71), (125_000, 0.003, 71)]
+)
+def test_a_cycle_is_held_against_the_bit_rate_of_the_bus(
+    stack: ExitStack, bitrate: int, period_s: float, share: int
+) -> None:
+    """95 bits of a set-point, 115 of its answer and 55 of SYNC, stuffing at its worst; half of that load is kept."""
+    rig = _rig(stack, 1, bitrate)
+    frames = rig.bench.wire.frames
+    with (
+        pytest.raises(InputError, match=f"{share} % of the bus, at most 70 %"),
+        CyclicStream(rig.drives, SetPointSettings(period_s)),
+    ):
+        pytest.fail("entered")
+    assert rig.bench.wire.frames == frames
+    with CyclicStream(rig.drives, SetPointSettings(2 * period_s)) as stream:
+        for cycle in range(100):
+            stream.cycle([0.01 * cycle])
+    assert (stream.missed_cycles, stream.late_feedback) == (0, 0)
 
 
 def _stream_until_it_stops(

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from drivers.canopen.bus import CanLink
+from drivers.canopen.bus import FASTEST, CanLink
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.known_objects import address_of
 from drivers.canopen.node import Node
@@ -91,14 +91,14 @@ class ParameterRig:
             clock=SimClock() if clock is None else clock,
         )
         self.stack = ExitStack()
-        self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock))
+        self.link = self.stack.enter_context(CanLink(self.bench.port(), self.bench.clock, bitrate or FASTEST))
         self.line = CanLine(self.link)
         self.nodes = [
             Node(f"X{node}", self.link, node, file if file is not None else load_eds(eds, node)) for node in nodes
         ]
         for node in self.nodes:
             node.open(timeout_s)
-        self.drives = [CanOpenRawParameters(node, self.line, bitrate=bitrate or 1_000_000) for node in self.nodes]
+        self.drives = [CanOpenRawParameters(node, self.line) for node in self.nodes]
         self.bench.clock.sleep_s(0.01)  # boot-up messages have been sent
         self.journals = [Journal(folder / f"X{node}") for node in nodes]
 
