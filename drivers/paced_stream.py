@@ -32,10 +32,18 @@ from drivers.undo import undo_all
 class HostPacedDrive(ServoDrive):
     """A drive that follows set-points as they come."""
 
+    def cycle_s(self) -> float:
+        """Shortest time of a set-point and a sample, s; writes nothing. Raises CapabilityError, and as `sample`."""
+        return 0.0
+
+    @property
+    def least_period_s(self) -> float:
+        """The shortest period that the drive itself takes, s."""
+        return 0.0
+
     @abstractmethod
-    def begin_stream(self, settings: SetPointSettings) -> DriveSample:
-        """Bring the enabled drive into its streaming mode without moving it; its sample. Raises StateError unless enabled, InputError
-        for a period that it cannot keep."""
+    def begin_stream(self) -> DriveSample:
+        """Bring the enabled drive into its streaming mode without moving it; its sample. Raises StateError unless enabled."""
 
     @abstractmethod
     def send_set_point(self, position_load_mm: float) -> None: ...
@@ -69,11 +77,12 @@ class PacedStream(SetPointStream):
 
     # -- entering and leaving --------------------------------------------------------------------------------------------
     def __enter__(self) -> Self:
+        self._check_period()
         begun: list[HostPacedDrive] = []
         self._last_mm = []
         try:
             for drive in self._drives:
-                self._last_mm.append(drive.begin_stream(self.settings).position_load_mm)
+                self._last_mm.append(drive.begin_stream().position_load_mm)
                 begun.append(drive)
         except BaseException as error:
             stop_together(begun, error)
@@ -94,6 +103,15 @@ class PacedStream(SetPointStream):
         running, self._running = self._running, False
         if running:
             stop_together(self._drives, error)
+
+    def _check_period(self) -> None:
+        """Raise InputError for one that is too short for a drive, or for all of them one after the other."""
+        period_s, names = self.settings.period_s, ", ".join(drive.name for drive in self._drives)
+        needs = [(f"drive {drive.name}", drive.least_period_s, "the drive needs") for drive in self._drives]
+        needs.append((f"stream of {names}", sum(drive.cycle_s() for drive in self._drives), "the wire needs"))
+        for who, least_s, what in needs:
+            if period_s < least_s:
+                raise InputError(f"{who}: stream period is {1e3 * period_s:g} ms, {what} {1e3 * least_s:.3g} ms")
 
     # -- the cycle -------------------------------------------------------------------------------------------------------
     def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:

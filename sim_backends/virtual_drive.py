@@ -24,7 +24,6 @@ from drivers.errors import (
 from drivers.limits import DriveLimits
 from drivers.paced_stream import HostPacedDrive
 from drivers.scaling import AxisScaling
-from drivers.set_points import SetPointSettings
 from drivers.touch_probe import TouchProbe
 from sim_backends.clock import SimClock
 from sim_backends.control_wires import Wires
@@ -197,8 +196,7 @@ class VirtualDrive(HostPacedDrive):
             self.send_stop()  # ends a motion in progress
             raise CapabilityError(f"drive {self.name} has no homing method {settings.homing_method}")
 
-    def begin_stream(self, settings: SetPointSettings) -> DriveSample:
-        del settings
+    def begin_stream(self) -> DriveSample:
         sample = self.sample()
         if sample.state is not DriveState.ENABLED:
             raise StateError(f"drive {self.name} cannot stream: it is {sample.state.value}")

@@ -7,21 +7,21 @@ does not count as running; a start bit is never sent twice.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from drivers.clock import Clock
+from drivers.clock import NS_PER_S, Clock
 from drivers.drive import Capability, DriveSample, DriveState, DriveZero
 from drivers.errors import (
     BridgeError,
     CapabilityError,
-    InputError,
     MotionTimeoutError,
     StateError,
 )
 from drivers.limits import DriveLimits
 from drivers.modbus.correction_table import ModbusCorrectionTable
-from drivers.modbus.drive_map import DriveMap
+from drivers.modbus.drive_map import DriveMap, StreamMap
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_facts import FactLedger, Proof
 from drivers.modbus.needs import Needs
@@ -33,9 +33,11 @@ from drivers.modbus.word_order_evidence import judge_orders
 from drivers.named_parameters import NamedParameters
 from drivers.paced_stream import HostPacedDrive
 from drivers.scaling import AxisScaling, ReportedScaling
-from drivers.set_points import SetPointSettings
 from drivers.shutdown import Left
 from drivers.undo import undo_all
+
+ANSWERS = 3
+"""Number of samples by which the time of an answer is judged: one alone may have been delayed by the host."""
 
 
 class ModbusDrive(StoppableUnit, HostPacedDrive):
@@ -263,19 +265,29 @@ class ModbusDrive(StoppableUnit, HostPacedDrive):
             self.moves.begin(move)
 
     # -- streams ---------------------------------------------------------------------------------------------------
-    def begin_stream(self, settings: SetPointSettings) -> DriveSample:
-        """Target := actual, then the mode in which the drive follows it; a sample. Raises CapabilityError, and InputError for a period
-        that map or wire cannot keep."""
-        stream, period_s = self.map.stream, settings.period_s
-        if stream is None:
+    @property
+    def _set_points(self) -> StreamMap:
+        if self.map.stream is None:
             raise CapabilityError(f"drive {self.name}: its register map has no cyclic set-point")
-        target = self.registers[stream.target]
-        wire_s = self.sample_wire_s + self.link.cost.write_s(target.table, target.span.count)
-        for least_s, whose in ((stream.least_period_s, "the drive by its register map"), (wire_s, "the wire")):
-            if period_s < least_s:
-                raise InputError(
-                    f"drive {self.name}: stream period is {1e3 * period_s:g} ms, {whose} needs {1e3 * least_s:.3g} ms"
-                )
+        return self.map.stream
+
+    def cycle_s(self) -> float:
+        """By the wire, and by the time that this drive takes to answer: the shortest of `ANSWERS` samples."""
+        target, plan = self.registers[self._set_points.target], self.access.plan(self.map.sampled())
+        took_s = math.inf
+        for _ in range(ANSWERS):
+            sample = self.sample()
+            took_s = min(took_s, (sample.time_ns - sample.earliest_ns) / NS_PER_S)
+        answer_s = max(0.0, took_s - plan.wire_s) / len(plan.requests)
+        return max(took_s, plan.wire_s) + answer_s + self.link.cost.write_s(target.table, target.span.count)
+
+    @property
+    def least_period_s(self) -> float:
+        return self._set_points.least_period_s
+
+    def begin_stream(self) -> DriveSample:
+        """Target := actual, then the mode in which the drive follows it; a sample. Raises CapabilityError."""
+        stream = self._set_points
         self._require_enabled("stream")
         with self._no_motion_after_errors():
             self.homing.leave(self.access.read(self.map.sampled()))
@@ -286,7 +298,7 @@ class ModbusDrive(StoppableUnit, HostPacedDrive):
 
     def send_set_point(self, position_load_mm: float) -> None:
         """The next set-point, load mm."""
-        target = self.map.stream.target if self.map.stream is not None else self.map.move.target
+        target = self._set_points.target
         counts = float(self.scaling.motor_counts(position_load_mm))
         self.commands.write({target: self.values.raw(counts, target)})
 

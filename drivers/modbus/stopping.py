@@ -67,11 +67,6 @@ class StoppableUnit(StoppableDrive):
         self.homing = MappedHoming(ours, post_stop=self.send_stop)
 
     # -- reading ---------------------------------------------------------------------------------------------------
-    @property
-    def sample_wire_s(self) -> float:
-        """Predicted time on the wire of one sample, s."""
-        return self.access.plan(self.map.sampled()).wire_s
-
     def sample(self) -> DriveSample:
         """A fresh sample, all its registers read in as few requests as the wire allows.
 

@@ -60,6 +60,21 @@ def test_both_axes_follow_their_own_path(tmp_path: Path, face: str, period_s: fl
         assert all(drive.sample().state is DriveState.ENABLED for drive in drives)
 
 
+def test_axes_on_one_line_need_its_time_one_after_the_other(tmp_path: Path) -> None:
+    """54 characters of 11 bits at 115,200 baud, four silent intervals of 1.75 ms and two answers of 1 ms: 14.2 ms an axis."""
+    with connected_ideal(axes_of(tmp_path, "modbus-rtu")) as machines:
+        drives = [machine.session.drive for machine in machines]
+        for drive in drives:
+            drive.enable()
+        with drives[0].stream(SetPointSettings(0.02)) as stream:
+            stream.cycle([drives[0].sample().position_load_mm])
+        with (
+            pytest.raises(InputError, match=r"stream of X, Y: stream period is 20 ms, the wire needs 28\.3 ms"),
+            drives[0].stream(SetPointSettings(0.02), drives[1:]),
+        ):
+            pytest.fail("entered")
+
+
 def test_an_axis_that_was_left_is_not_stopped_again_with_the_other(tmp_path: Path) -> None:
     """Nothing is said of a drive that may still move: it was stopped, disabled and closed."""
 

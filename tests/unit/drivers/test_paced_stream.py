@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.drive import DriveSample, DriveState
-from drivers.errors import BridgeError, LimitError, NoAnswerError, StateError, UndoError
+from drivers.errors import BridgeError, LimitError, NoAnswerError, SafetyError, StateError, UndoError
 from drivers.limits import DriveLimits
 from drivers.paced_stream import PacedStream
 from drivers.scaling import AxisScaling
@@ -40,9 +40,15 @@ class Drive(VirtualDrive):
 
 @pytest.fixture
 def axes() -> tuple[Drive, Drive]:
+    x, y = _enabled("XY")
+    return x, y
+
+
+def _enabled(names: str) -> list[Drive]:
+    """On one clock, each told to stop in one log."""
     clock, log = SimClock(), list[str]()
     made = []
-    for name in ("X", "Y"):
+    for name in names:
         servo = SimulatedServo(BareShaft(), ServoParameters(counts_per_rev=100_000))
         clock.attach(servo.advance, bearable=servo.bearable)
         drive = Drive(servo, AxisScaling(100_000, 10.0), LIMITS, clock, name=name)
@@ -50,7 +56,7 @@ def axes() -> tuple[Drive, Drive]:
         drive.open()
         drive.enable()
         made.append(drive)
-    return made[0], made[1]
+    return made
 
 
 def state(drive: Drive) -> DriveState:
@@ -128,6 +134,23 @@ def test_a_clean_end_holds_the_axis(axes: tuple[Drive, Drive]) -> None:
         stream.cycle([0.1])
     assert state(x) is DriveState.ENABLED
     assert x.log == []
+
+
+@pytest.mark.parametrize("names", ["X", "XY", "XYZ"])
+def test_a_host_is_late_for_all_axes_at_once(names: str) -> None:
+    """Each further axis leaves as many periods as one alone."""
+    drives, here = _enabled(names), [0.0] * len(names)
+    with PacedStream(drives, SETTINGS) as stream:
+        for late_s, missed in ((0.0099, 0), (0.0399, 3), (0.0, 3), (0.0399, 6)):
+            stream.cycle(here)
+            drives[0].clock.sleep_s(late_s)
+            stream.cycle(here)
+            assert stream.missed_cycles == missed
+        stream.cycle(here)
+        drives[0].clock.sleep_s(0.04)
+        with pytest.raises(SafetyError, match="4 cycles of 10 ms missed in a row"):
+            stream.cycle(here)
+    assert {state(drive) for drive in drives} == {DriveState.QUICK_STOP}
 
 
 def seen_moving(sample: DriveSample) -> DriveSample:
