@@ -34,6 +34,7 @@ from drivers.errors import (
     BridgeError,
     CapabilityError,
     InputError,
+    LinkLostError,
     NoAnswerError,
     SafetyError,
     StateError,
@@ -336,11 +337,22 @@ class CyclicStream(SetPointStream):
 
 
 def _unwatch_sync(link: CanLink, axes: Sequence[Axis]) -> None:
-    """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h)."""
+    """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h).
+
+    Where another thread is in the middle of an SDO access they are told without waiting for it, and again when it is their turn.
+    """
     watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
     for axis, _ in watching:
         axis.sync_period_before = None
-    errors = CanLine(link).run([axis.node.sdo.putting(cia301.SYNC_PERIOD, before) for axis, before in watching])
+    free = link.talking.acquire(blocking=False)
+    try:
+        for axis, before in () if free else watching:
+            with suppress(LinkLostError):
+                axis.node.sdo.send_at_once(cia301.SYNC_PERIOD, before)
+        errors = CanLine(link).run([axis.node.sdo.putting(cia301.SYNC_PERIOD, before) for axis, before in watching])
+    finally:
+        if free:
+            link.talking.release()
     undo_all(
         [
             (f"drive {axis.node.name}: 1006h not put back", partial(_fail, error))

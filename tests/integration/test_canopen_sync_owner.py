@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections import Counter
 from collections.abc import Callable, Iterator
 from itertools import pairwise, takewhile
@@ -324,6 +325,36 @@ def test_leaving_a_stream_is_done_to_the_end_whatever_fails(bus: Bus, pair: tupl
         assert drive.modes.mode is Mode.PROFILE_POSITION
         assert drive.sample().state is DriveState.ENABLED
         drive.start_move(3.0, 50.0)
+
+
+@pytest.mark.parametrize("error", [None, StateError("ended")], ids=["clean", "stop"])
+def test_an_access_of_another_thread_does_not_let_the_drives_miss_sync(
+    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch, error: StateError | None
+) -> None:
+    """Who accesses objects holds the link's `talking`, for as long as that takes; a drive waits five periods for SYNC (8700h)."""
+    stream, link, told, sent = _streaming(*pair), pair[0].link, threading.Event(), set[int]()
+    send = link.bus.send
+
+    def sending(message: can.Message, timeout: float | None = None) -> None:
+        send(message, timeout)
+        if message.arbitration_id & 0x780 == 0x600 and message.data[1:3] == b"\x06\x10":
+            sent.add(message.arbitration_id & 0x7F)
+            if sent == {X, Y}:
+                told.set()
+
+    monkeypatch.setattr(link.bus, "send", sending)
+    leaving = threading.Thread(target=stream.__exit__, args=(error and type(error), error, None))
+    with link.talking:
+        leaving.start()
+        in_time = told.wait(5.0)  # simulated time stands still meanwhile
+        bus.clock.sleep_s(0.2)
+    leaving.join()
+    assert in_time
+    for node_id in (X, Y):
+        slave = bus.bench.slaves[node_id]
+        assert slave.dictionary.number(*SYNC_PERIOD) == 0
+        assert slave.dictionary.number(0x1003, 0) == 0
+        assert (slave.profile.state is DriveState.ENABLED) is (error is None)
 
 
 @pytest.mark.parametrize("key", [MODE, (0x1400, 1)], ids=["mode", "PDO"])
