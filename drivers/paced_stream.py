@@ -114,7 +114,7 @@ class PacedStream(SetPointStream):
                 raise InputError(f"{who}: stream period is {1e3 * period_s:g} ms, {what} {1e3 * least_s:.3g} ms")
 
     # -- the cycle -------------------------------------------------------------------------------------------------------
-    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+    def cycle(self, positions_load_mm: Sequence[float]) -> None:
         if len(positions_load_mm) != len(self._drives):
             raise InputError(f"{len(positions_load_mm)} set-points for {len(self._drives)} axes")
         try:
@@ -134,7 +134,6 @@ class PacedStream(SetPointStream):
         except BaseException as error:
             self._stop(error)
             raise
-        return [place_mm for _, place_mm in self.found]
 
     def _check(self, drive: ServoDrive, position_load_mm: float, last_mm: float) -> None:
         """Raise LimitError for a position outside the travel (mm), or a step that is too long."""

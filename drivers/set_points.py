@@ -52,8 +52,8 @@ class SetPointStream(ABC):
     ) -> None: ...
 
     @abstractmethod
-    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
-        """Give every axis its set-point (load mm, one per axis), wait until their time; the axes' positions (load mm) in this cycle.
+    def cycle(self, positions_load_mm: Sequence[float]) -> None:
+        """Give every axis its set-point (load mm, one per axis) and wait until their time; `found` then has the axes' positions.
 
         Raises LimitError before anything is sent, SafetyError (cycles missed), FollowingErrorError, DriveFaultError, StateError,
         TransportError - each with all axes quick-stopped; InputError for another number of set-points.

@@ -109,6 +109,7 @@ class CyclicStream(SetPointStream):
             self._silence_neighbours()
             for drive, axis in zip(self._drives, self._axes, strict=True):
                 self._prepare(drive, axis)
+            self.found = [(axis.heard_ns, axis.position_counts * axis.mm_per_count) for axis in self._axes]
             self._start()
         except BaseException as error:  # nothing was moved: the axes are restored, and stay in their state
             if not isinstance(error, BridgeError):
@@ -222,7 +223,7 @@ class CyclicStream(SetPointStream):
             raise
 
     # -- the cycle -------------------------------------------------------------------------------------------------------
-    def cycle(self, positions_load_mm: Sequence[float]) -> list[float]:
+    def cycle(self, positions_load_mm: Sequence[float]) -> None:
         """As `SetPointStream.cycle`: the set-points wait for the SYNC that applies them, and this for the feedback that it requests. A
         position that did not come in time is the last one."""
         axes = self._axes
@@ -241,19 +242,16 @@ class CyclicStream(SetPointStream):
             if self.cycles % self._watch_every == 0:
                 for axis in axes:
                     axis.node.monitor.check()
-            synced_ns, places_mm = self.reached_ns - self._period_ns, []
+            synced_ns = self.reached_ns - self._period_ns
             for index, axis in enumerate(axes):
                 counts = axis.position_counts
-                place_mm = counts * axis.mm_per_count
-                places_mm.append(place_mm)
                 if axis.fresh:
                     axis.late_in_a_row = 0
                     if axis.status & RUNNING_MASK != RUNNING:
                         self._judge_status(axis)
                     if abs(counts - axis.demand_counts) > axis.max_error_counts:
                         raise axis.explain_error()
-                    self.found[index] = synced_ns, place_mm
-            return places_mm
+                    self.found[index] = synced_ns, counts * axis.mm_per_count
         except BaseException as error:
             self._stop_all(error)
             raise

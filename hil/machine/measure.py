@@ -23,7 +23,6 @@ from hil.figures.reading import RULE
 from hil.machine.events import Event, Listener, Point, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.session import AxisSession, PositionReading
-from hil.machine.supervisor import REST_SLICE_S
 from hil.records.journal import Campaign, RowJournal
 from hil.records.rows import UM_PER_MM, Records
 
@@ -302,9 +301,7 @@ def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostEr
     while True:
         try:
             session.acknowledge_loss()
-            for _ in range(round(STEADY_S / REST_SLICE_S)):
-                session.watch(REST_SLICE_S)
-                stopped.look()
+            session.supervisor.watch(STEADY_S, stopped.look)
             stopped.require_rest()
             session.supervisor.enable()
             stopped = _StoppedDrive(session.drive)  # for a stop on the way to the datum
@@ -313,7 +310,7 @@ def _await_signal(session: AxisSession, within_s: float, lost: MeasurementLostEr
         except MeasurementLostError:
             if deadline.expired:
                 raise lost from None
-            stopped.look()
+            stopped.look(session.drive.sample())
         else:
             return
 
@@ -332,9 +329,8 @@ class _StoppedDrive:
                 f"drive {self._drive.name} was stopped for a lost signal, and the axis is not at rest; it is not enabled again"
             )
 
-    def look(self) -> None:
+    def look(self, now: DriveSample) -> None:
         """Raises StateError where the state of the drive or its supply has changed since the axis came to rest."""
-        now = self._drive.sample()
         stands = self._standstill.look(now.time_ns, now.position_load_mm, now.velocity_mm_s)
         if self._at_rest is None:
             self._at_rest = now if stands else None
@@ -345,5 +341,5 @@ class _StoppedDrive:
             )
             raise StateError(
                 f"drive {self._drive.name} was stopped for a lost signal, and while it was waited for, the drive went from {was} to"
-                f" {shown}: somebody may be in the machine; nothing was enabled. Begin the job again with --resume"
+                f" {shown}: somebody may be in the machine; nothing was enabled. Resume the job"
             )

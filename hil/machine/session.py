@@ -448,9 +448,9 @@ class AxisSession:
                 for cross, its_points in across:
                     across_um = self.across_um(target_mm, cross.name)
                     commands_mm.append(cross.set_point(its_points, across_um, self.elapsed_s()))
-                places_mm = stream.cycle(commands_mm)
+                stream.cycle(commands_mm)
                 points.issued()
-                self.command_state.found_at(places_mm[0])
+                self.command_state.found_at(stream.found[0][1])
                 for _, its_points in across:
                     its_points.issued()
                 for tell, place in zip(found, stream.found, strict=True):

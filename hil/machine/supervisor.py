@@ -203,10 +203,10 @@ class Supervisor:
                     raise MeasurementLostError(f"instrument {axis.instrument_name}: {what}; nothing was enabled")
                 self.clock.sleep_s(SLICE_S)
 
-    def watch(self, duration_s: float) -> list[Reading]:
+    def watch(self, duration_s: float, look: Look | None = None) -> list[Reading]:
         """Watch the axes at rest for `duration_s`; returns the readings of the first axis's instrument that arrived meanwhile.
 
-        Raises what `WatchedAxis.look` raises.
+        look: called with each sample of the first axis. Raises what `WatchedAxis.look` raises.
         """
         axis, deadline = self.axes[0], self.clock.deadline(duration_s)
         asked = axis.instrument is not None and axis.instrument.answers_when_asked
@@ -216,7 +216,10 @@ class Supervisor:
             while not deadline.expired:
                 self.clock.sleep_until_ns(min(self.clock.now_ns() + slice_ns, deadline.end_ns))
                 self._look_beside(axis)
-                arrived.extend(axis.look()[1])
+                sample, readings = axis.look()
+                arrived.extend(readings)
+                if look is not None:
+                    look(sample)
         return arrived
 
     def watch_until(

@@ -125,8 +125,8 @@ def _ours(axes: int, stack: ExitStack) -> Callable[[int], None]:
 
     def run(cycles: int) -> None:
         for cycle in range(cycles):
-            places_mm = stream.cycle([0.001 * (cycle % 100)] * axes)
-            assert abs(places_mm[0] - 0.001 * (cycle % 100)) < 1e-3
+            stream.cycle([0.001 * (cycle % 100)] * axes)
+            assert abs(stream.found[0][1] - 0.001 * (cycle % 100)) < 1e-3
 
     return run
 

@@ -118,8 +118,8 @@ def test_a_stream_of_positions(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> Non
         given = _orders(rig, "cyclic_position", monkeypatch)
         with drive.stream(SetPointSettings(0.04)) as stream:
             for place_mm in (0.8, *[1.6] * 8):
-                (found_mm,) = stream.cycle([place_mm])
-            assert found_mm == pytest.approx(1.6, abs=2e-3)
+                stream.cycle([place_mm])
+            assert stream.found[0][1] == pytest.approx(1.6, abs=2e-3)
         targets = [target for (target,) in given]
         assert targets.index(-10_000) < targets.index(-20_000)  # 0.8 and 1.6 mm · 12 500 · −1
         assert min(targets) == -20_000

@@ -242,7 +242,7 @@ class Shift:
                 before, late_before = listener.feedback, stream.late_feedback
                 account.cycles += 1
                 try:
-                    (place_mm,) = stream.cycle([command_mm])
+                    stream.cycle([command_mm])
                 except BaseException:
                     account.ended += 1
                     account.spare_feedback += listener.feedback - before
@@ -256,7 +256,7 @@ class Shift:
                 account.missing_feedback += not late and came == 0
                 account.unlike += listener.set_point_counts != round(command_mm * COUNTS_PER_MM)
                 if stream.cycles % JOURNALED_EVERY == 0:
-                    self._journal(target_mm, command_mm, place_mm, now_s)
+                    self._journal(target_mm, command_mm, stream.found[0][1], now_s)
 
     def _journal(self, target_mm: float, command_mm: float, measured_mm: float, time_s: float) -> None:
         history = self.state.known_history

@@ -168,12 +168,10 @@ def _stream(
                 axis.set_point(own, target, feed, across_um=across_um)
                 for axis, own, target, across_um in zip(axes, points, targets, _across_um(axes, targets), strict=True)
             ]
-            places = stream.cycle(commands)
-            for axis, own, rows, tell, place_mm, seen in zip(
-                axes, points, samples, found, places, stream.found, strict=True
-            ):
+            stream.cycle(commands)
+            for axis, own, rows, tell, seen in zip(axes, points, samples, found, stream.found, strict=True):
                 own.issued()
-                axis.command_state.found_at(place_mm)
+                axis.command_state.found_at(seen[1])
                 tell(*seen, feed)
                 rows.extend(axis.readings())
             if index % every == 0:
