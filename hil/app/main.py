@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext, suppress
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from drivers.errors import BridgeError, InputError, LocalError
 from drivers.undo import one_line
@@ -104,6 +104,10 @@ DONE, NOT_GOOD, BAD_INPUT = 0, 1, 2
 
 class _OneLineParser(argparse.ArgumentParser):
     """A parser that reports an error as one line."""
+
+    def _get_option_tuples(self, option_string: str) -> list[Any]:
+        """What an abbreviation may mean: an option with two spellings, `--a-mm` and `--a_mm`, once."""
+        return list({id(found[0]): found for found in super()._get_option_tuples(option_string)}.values())
 
     def error(self, message: str) -> NoReturn:
         """Print the message, with the nearest choice in place of a list of them, and exit with status 2."""

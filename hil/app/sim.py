@@ -16,6 +16,7 @@ from typing import Any
 from drivers.clock import WallClock
 from drivers.errors import InputError
 from drivers.files import replace_file
+from hil.axis.axis_file import load_drive_axis
 from hil.machine.likeness import read_likeness
 from hil.machine.simulated_file import axis_text, instrument_text
 from sim_backends.bench import Bench, BenchParameters, known_bench
@@ -161,6 +162,12 @@ def _run(
             name = "X" if args.like is None else f"{args.like.resolve().name.removesuffix('-campaign')}-like"
             text = axis_text(bench.parameters, drive or {}, instrument, counts_per_rev, name)
             replace_file(args.axis_file, text.encode())
+            campaigns = load_drive_axis(args.axis_file).store.directory
+            if campaigns.exists():
+                print(
+                    f"hil: {campaigns} has measurements of another machine of this name; give each its own folder",
+                    file=sys.stderr,
+                )
         machine: dict[str, Any] = {"kind": args.machine, "seed": args.seed or 0}
         if args.like is not None:
             effects = dict(read_likeness(args.like).effects)

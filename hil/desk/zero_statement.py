@@ -25,7 +25,7 @@ class ZeroStatement:
     def check(self, *, resume: bool) -> None:
         """Raises InputError for a new zero in a resumed campaign."""
         if self.anew and resume:
-            raise InputError("--new-zero does not go with --resume: the rows so far were measured in the old zero")
+            raise InputError("a resumed job takes no new zero: its rows so far were measured in the old one")
 
     def in_plan(self, plan: Plan) -> Plan:
         return replace(plan, new_zero=self.anew, instrument_zeroed=self.instrument_zeroed)

@@ -66,7 +66,7 @@ class NamedSetting:
 def drive_setting(axis: DriveAxis, drive: ServoDrive, name: str) -> ObjectSetting | NamedSetting:
     """The setting of that name, on the axis's open drive. Writes nothing.
 
-    Raises CapabilityError for a parameter that cannot be written or is none of backlash, StateError where the EEPROM's
+    Raises CapabilityError for a parameter that cannot be written, StateError where the EEPROM's
     write budget does not last.
     """
     if axis.drive.register_map:
@@ -78,7 +78,9 @@ def drive_setting(axis: DriveAxis, drive: ServoDrive, name: str) -> ObjectSettin
 
         if isinstance(drive, CanOpenDrive):
             if key[0] in MOTION_TARGETS or key[0] in NOT_PARAMETERS or key[0] < 0x2000:
-                raise CapabilityError(f"drive {drive.name}: {name} is no parameter of backlash; nothing was written")
+                raise CapabilityError(
+                    f"drive {drive.name}: {name} is no parameter but a target, a command or communication; nothing was written"
+                )
             return ObjectSetting(drive, name, key)
     return NamedSetting(_writable(drive, name), name, 1.0)
 

@@ -64,8 +64,10 @@ def match_set(drive: RawParameters, contents: ParameterSet) -> tuple[list[Wanted
             missing.append(entry.address)
             continue
         if parameter is None:
+            meant = f"{entry.address.upper()}h"
+            hint = "" if drive.find(f"{meant}:00") is None else f", expected {meant}"
             objections.append(
-                Objection(entry.address, entry.name, "the drive's file has no such parameter", entry.line)
+                Objection(entry.address, entry.name, f"the drive's file has no such parameter{hint}", entry.line)
             )
             continue
         try:

@@ -102,3 +102,7 @@ __all__ = [
     "open_axes",
     "open_probe",
 ]
+
+for _name in __all__:
+    if isinstance(globals()[_name], type):
+        globals()[_name].__module__ = "hil"  # as a script knows it, in a traceback and in its help

@@ -47,8 +47,7 @@ def open_axis(
     on_event: Listener = silent,
     network: canopen.Network | None = None,
 ) -> OpenAxis:
-    """The axis of an axis file, for a `with` block. Entering connects the axis. Leaving stops it after an error, disables it unless it
-    was enabled before, and disconnects it.
+    """The axis of an axis file, for a `with` block, which connects it.
 
     password, key_password: of the sealed tables and of the builder's key; None takes them from the environment, the axis file or the
     keyboard. on_event: called with progress and warnings. network: your own canopen.Network in place of the axis file's bus. Raises

@@ -48,8 +48,7 @@ class Procedure(ABC):
     def run(self, axis: Axis) -> Iterable[Row]:
         """Measure, and yield each row (`axis.read().row()`). It is on disk before the next is asked for. The run numbers ascend.
 
-        axis: homed, with the datum set. With `--resume` this begins anew; rows of a run before `axis.first_run` are on disk
-        already and are not written again.
+        axis: homed, with the datum set. When resumed, this begins anew; runs before `axis.first_run` are not written again.
         """
 
 

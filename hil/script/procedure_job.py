@@ -98,7 +98,7 @@ def procedure_job(
     kind = procedure.kind
     last = Campaign.latest(axis.store.directory, kind) if resume else None
     if last is not None and (last.directory / FINISHED).exists():
-        raise InputError("is finished: --resume has nothing to continue", path=last.directory)
+        raise InputError("is finished: there is nothing to resume", path=last.directory)
 
     def work(place: Workplace) -> Carried:
         session = place.machine().session

@@ -309,8 +309,13 @@ class ParameterComparison(Result):
 
     @property
     def sentence(self) -> str:
-        """Whether it does, else why not."""
-        why = self.raw.error or "; ".join(self.objections) or f"{len(self.differing)} differ"
+        """Whether it does, else why not: of the parameters that differ the first three."""
+        differ = [
+            f"{name} is {'unknown' if held is None else repr(held)}, expected {wanted!r}"
+            for name, (held, wanted) in self.differing.items()
+        ]
+        more = f" and {len(differ) - 3} more" if len(differ) > 3 else ""
+        why = self.raw.error or "; ".join(self.objections) or ", ".join(differ[:3]) + more
         return f"parameters of {self.axis.name}: {'as the set' if self.good else why}"
 
     def form(self) -> Mapping[str, Any]:

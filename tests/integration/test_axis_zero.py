@@ -494,7 +494,7 @@ def test_the_verbs_say_it_in_a_line_and_take_the_word_of_a_person(
         assert "homing method 37" in line
         assert here.motor_mm() == was_at
     assert main(["calibrate", path, "--resume", "--new-zero"]) == 2
-    assert "--new-zero does not go with --resume" in capsys.readouterr().err
+    assert "a resumed job takes no new zero" in capsys.readouterr().err
     here.bench.servo.power_on()
     here.bench.servo.move_absolute(0, 1e7, 1e7)
     here.bench.clock.sleep_s(20.0)

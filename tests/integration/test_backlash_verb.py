@@ -232,7 +232,10 @@ def test_an_object_that_moves_the_axis_is_refused_before_anything_moves(
     path = lay_out(tmp_path, "canopen")
     path.write_text(path.read_text().replace('"2201h"', f'"{parameter}"'))
     assert main(["backlash", str(path)]) == 2
-    assert f"{parameter} is no parameter of backlash; nothing was written" in capsys.readouterr().err
+    assert (
+        f"{parameter} is no parameter but a target, a command or communication; nothing was written"
+        in capsys.readouterr().err
+    )
 
 
 def test_ctrl_c_ends_it_with_130_and_everything_as_it_was(tmp_path: Path, until: Until) -> None:

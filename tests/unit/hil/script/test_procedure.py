@@ -58,9 +58,12 @@ def test_creep_after_a_stop_becomes_rows_that_the_diagnosis_takes(
 ) -> None:
     shutil.copy(creep.__file__, "creep.py")
     words = ["run", "creep.py", "axis.toml", "--watch-s", "4", "--targets_mm", "100,20,60"]
-    assert main([*words, "--dry-run"]) == 0
-    assert "would move between 19.2" in (said := capsys.readouterr().out)
-    assert "100.000 mm" in said
+    assert main([*words[:-2], "--targets", "100,20,60", "--dry-run"]) == 0
+    said = capsys.readouterr().out
+    assert (
+        "would move between 20.000 and 100.000 mm (corrections come on top) at 50 mm/s\nwould move between 19.2" in said
+    )
+    assert "at 100 mm/s\n" in said, "to the datum"
     assert not (folder / "X-campaign").exists()
     assert main([*words, "--json", "creep.json", "--report", "creep.html"]) == 0
     rows = read_csv(rows_of(folder, "creep"))
@@ -247,7 +250,7 @@ def test_a_resumed_procedure_goes_on(folder: Path, capsys: pytest.CaptureFixture
     assert np.all(np.diff(whole["time_s"]) > 0.0)
     assert len(list(folder.glob("X-campaign/run-*"))) == 1
     assert main(["run", "steps.py", "axis.toml", "--readings", "4", "--resume"]) == 2
-    assert "nothing to continue" in capsys.readouterr().err
+    assert "there is nothing to resume" in capsys.readouterr().err
 
 
 @pytest.mark.usefixtures("passwords")

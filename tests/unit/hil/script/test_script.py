@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import pickle
 import subprocess
 import sys
+import traceback
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -62,7 +65,11 @@ def test_positions_with_motor_and_instrument_become_rows_for_the_diagnosis(path:
         for target_mm in (50.0, 100.0, 20.0):
             axis.move_to(target_mm)
             readings.append(axis.read())
-        rows = hil.Rows.of(readings) + hil.Rows.of(axis.watch(0.5), run=2)
+        watched = list(axis.watch(0.5))
+        watched.append(replace(watched[-1], instrument_mm=None))  # as where the instrument sent nothing meanwhile
+        rows = hil.Rows.of(readings) + hil.Rows.of(watched, run=2)
+        with pytest.raises(hil.InputError, match="no reading has a position of the instrument"):
+            hil.Rows.of(watched[-1:])
         axis.disable()
         assert not enabled(axis)
     assert [one.motor_mm for one in readings] == pytest.approx([50.0, 100.0, 20.0], abs=1e-3)
@@ -365,14 +372,26 @@ def test_a_simulated_drive_keeps_its_parameters_as_long_as_it_is_open(path: Path
 
 def test_what_is_no_parameter_or_does_not_fit_is_said_and_not_written(path: Path) -> None:
     with hil.open(path) as axis:
-        wanted = {"6072h": 900_000, "5000h": 1, "6065h": 900}
+        wanted = {"6072h": 900_000, "5000h": 1, "6065h": 900, "6072": 900}
         for result in (axis.parameters.diff(wanted), axis.parameters.verify(wanted), axis.parameters.download(wanted)):
             assert not result.good
-            said, unknown = result.objections
+            said, unknown, bare = result.objections
             assert "900000 does not fit" in said
             assert said.count("6072h:00") == 1
             assert unknown == "5000h:00: the drive's file has no such parameter"
-        assert not axis.parameters.verify({"6065h": 900}).good
+            assert bare == "6072: the drive's file has no such parameter, expected 6072h"
+        different = axis.parameters.verify({"6065h": 900})
+        assert not different.good
+        was, _ = different.differing["6065h"]
+        assert repr(different) == f"<parameters of X: 6065h is {was}, expected 900>"
+
+
+def test_what_a_script_catches_is_named_as_the_script_knows_it(path: Path) -> None:
+    with hil.open(path) as axis, pytest.raises(hil.StateError) as raised:
+        axis.move_to(20.0)
+    assert traceback.format_exception_only(raised.value)[0].startswith("hil.StateError: axis X is ")
+    assert repr(hil.Rows) == "<class 'hil.Rows'>"
+    assert isinstance(pickle.loads(pickle.dumps(raised.value)), hil.StateError)
 
 
 def test_rows_become_frames_where_those_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
