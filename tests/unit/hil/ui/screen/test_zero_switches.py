@@ -138,5 +138,5 @@ def test_the_session_goes_by_it_for_that_job_alone(desk: Desk, monkeypatch: pyte
 
 
 def test_a_resumed_calibration_takes_no_zero_anew(desk: Desk) -> None:
-    with pytest.raises(InputError, match="does not go with"):
+    with pytest.raises(InputError, match="takes no new zero"):
         calibrate.calibration_job(cast(Any, desk.axis), resume=True, zero=ZeroStatement(anew=True))
