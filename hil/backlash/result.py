@@ -5,7 +5,8 @@ uncertainty.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
@@ -13,7 +14,6 @@ from typing import Any
 import numpy as np
 import scipy
 
-from hil.backlash.four_sample import four_sample
 from hil.backlash.neutral_settings import SettingsBefore
 from hil.backlash.torque_fit import FittedWindUp, fit_wind_up, hidden_um
 from hil.backlash.trace import ReversalTrace
@@ -148,3 +148,24 @@ class TorqueBacklash:
     def by_direction_um(self) -> dict[int, float | None]:
         """Mean of each direction measured, by the chosen method."""
         return {each: mean_um(self.reversals, self.method, [each]) for each in self.directions}
+
+
+def first_peak_um(distances_um: Iterable[float], torques_percent: Iterable[float]) -> float | None:
+    """The published rule (CN103561904): the distance at the first peak of |torque|, of one torque for each step; None without a peak.
+
+    Of the torques T at steps n-3 … n the peak is at n-1 when T(n-2) >= T(n-3), T(n-1) >= T(n-2) and T(n) < T(n-1). Kept as
+    published, as the reference for the fitted curve: noise triggers it easily.
+    """
+    last: deque[tuple[float, float]] = deque(maxlen=4)
+    for distance_um, torque in zip(distances_um, torques_percent, strict=True):
+        last.append((distance_um, abs(torque)))
+        if len(last) == 4:
+            (_, t3), (_, t2), (peak_um, t1), (_, t0) = last
+            if t2 >= t3 and t1 >= t2 and t0 < t1:
+                return peak_um
+    return None
+
+
+def four_sample(trace: ReversalTrace) -> float | None:
+    """Lost motion in µm by the published rule, from the first reading of each step."""
+    return first_peak_um(trace.travel_um.tolist(), trace.torque_percent[:, 0].tolist())

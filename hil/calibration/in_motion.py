@@ -10,22 +10,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from drivers.clock import NS_PER_S
 from drivers.drive import Capability
 from drivers.errors import InputError
 from drivers.instrument import Reading
 from drivers.set_points import SetPointSettings, SetPointStream
+from drivers.touch_probe import Edge, TouchProbe
 from hil.figures.latency import DELAY, check_feeds
 from hil.machine.events import Event, Listener, silent
 from hil.machine.in_motion_settings import InMotion
 from hil.machine.measure import BASE_COLUMNS
 from hil.machine.sample_times import SampleDating, sample_dating
 from hil.machine.session import AxisSession
-from hil.machine.trigger_pairing import LatchReader, pair_triggers
 from hil.records.journal import Campaign
 from hil.records.rows import Floats, Records
 
@@ -225,3 +226,75 @@ def _at_edges(
     edges = pair_triggers(trace.edges.latched_mm, found_ns[settled], found_mm[settled], trace.samples, measured)
     late = [(trace.times.arrived_ns(edge.index, edge.reading) - edge.time_ns) / 1e9 for edge in edges]
     return [(edge.time_ns, (edge.index, edge.reading), {DELAY: s}) for edge, s in zip(edges, late, strict=True)]
+
+
+FETCHED_EVERY_S = 0.05
+"""Interval between two requests for a latch, s. Each takes a few answers of the drive, so it is not made in each cycle."""
+NEAR = 0.25
+"""Share of the distance between two samples within which a sample belongs to a latch: below 0.5, so that no other can."""
+
+
+@dataclass(frozen=True)
+class TriggerPair:
+    """A latch and its sample. time_ns: when the drive was at `motor_mm`; index, reading: the sample taken there."""
+
+    time_ns: float
+    motor_mm: float
+    index: int
+    reading: Reading
+
+
+class LatchReader:
+    """Reads the drive's latches during a stream. number: of the touch probe. Raises CapabilityError for a drive without one."""
+
+    def __init__(self, session: AxisSession, number: int) -> None:
+        session.drive.require(Capability.TOUCH_PROBE)
+        self._session = session
+        self._number = number
+        self._probe: TouchProbe | None = None  # made once the drive is open, and kept: it holds which latches were read
+        self._due_ns = 0
+        self.latched_mm: list[float] = []
+
+    @contextmanager
+    def armed(self) -> Iterator[None]:
+        """Arm the touch probe inside the block."""
+        self.latched_mm.clear()
+        self._probe = probe = self._probe or self._session.drive.touch_probe()
+        probe.arm(self._number, {Edge.POSITIVE}, continuous=True)
+        try:
+            yield
+        finally:
+            probe.disarm(self._number)
+
+    def look(self) -> None:
+        """Call after each set-point: every `FETCHED_EVERY_S` it reads the last latch into `latched_mm`."""
+        now_ns = self._session.clock.now_ns()
+        if self._probe is not None and now_ns >= self._due_ns:
+            self._due_ns = now_ns + round(FETCHED_EVERY_S * NS_PER_S)
+            self.latched_mm += [latch.position_load_mm for latch in self._probe.poll()]
+
+
+def pair_triggers(
+    latched_mm: Sequence[float],
+    found_ns: Floats,
+    found_mm: Floats,
+    samples: Sequence[tuple[int, Reading]],
+    measured_mm: Floats,
+) -> list[TriggerPair]:
+    """The sample of each latch during a motion at constant velocity.
+
+    latched_mm: positions latched by the drive, mm; found_ns, found_mm: times and motor positions of that motion, shapes (n,)
+    samples, measured_mm: samples of the whole pass and the load positions by them, mm, shapes (m,)
+    A latch outside the motion, or without a sample near enough (`NEAR`), is left out.
+    """
+    way = 1.0 if found_mm[-1] > found_mm[0] else -1.0
+    step_mm = float(np.max(np.abs(np.diff(measured_mm)))) if len(measured_mm) > 1 else 0.0
+    edges = []
+    for motor_mm in latched_mm:
+        if not min(found_mm[0], found_mm[-1]) <= motor_mm <= max(found_mm[0], found_mm[-1]):
+            continue
+        nearest = int(np.argmin(np.abs(measured_mm - motor_mm)))
+        if abs(measured_mm[nearest] - motor_mm) <= NEAR * step_mm:
+            time_ns = float(np.interp(way * motor_mm, way * found_mm, found_ns))
+            edges.append(TriggerPair(time_ns, motor_mm, *samples[nearest]))
+    return edges

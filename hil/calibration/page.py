@@ -5,7 +5,6 @@ after, the band.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 
 from nicegui import ui
@@ -70,7 +69,9 @@ def draw(view: View) -> None:
             ]
         with ui.element("div").classes("hil-main"):
             steps = Steps(view, "calibrate", ("found", "tables", "verified"))
-            live = _draw_live(view)
+            with view.card("calibrate.live", name="calibrate.live.card") as live_card:
+                x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
+                live = JobPlot(view, KINDS, x, y, name="calibrate.live", dots=True)
             curves_card, curves_refresh = draw_curves(view, axis, kept)
             view.how("calibrate.plan", "calibrate.steps")
     parts += [live.refresh, curves_refresh, draw_band(view, axis, kept, typed), draw_figures(view, axis, kept)]
@@ -81,7 +82,7 @@ def draw(view: View) -> None:
         running = job is not None and job.running
         messages.show(view.desk.last_of(SHOWN_KINDS))
         steps.show(_steps(kept.value, job))
-        live.card.set_visibility(running)
+        live_card.set_visibility(running)
         curves_card.set_visibility(not running)
         for part in parts:
             part()
@@ -98,24 +99,6 @@ def _steps(screen: CalibrationScreen | None, job: Progress | None) -> list[str]:
         return states
     at = (2 if job.kind == VERIFY else 0) if job.step is None else job.step[0] - 1
     return [*states[:at], "now" if job.running else "broken", *[""] * (2 - at)]
-
-
-@dataclass(frozen=True)
-class LiveErrors:
-    """The plot of the errors as they are measured, in its card."""
-
-    card: ui.element
-    plot: JobPlot
-
-    def refresh(self) -> None:
-        """Draw new points."""
-        self.plot.refresh()
-
-
-def _draw_live(view: View) -> LiveErrors:
-    with view.card("calibrate.live", name="calibrate.live.card") as card:
-        x, y = view.t("calibrate.plot_x"), view.t("calibrate.plot_y")
-        return LiveErrors(card, JobPlot(view, KINDS, x, y, name="calibrate.live", dots=True))
 
 
 def _draw_plan(view: View, axis: AxisConfig) -> Refresh:

@@ -92,7 +92,7 @@ def add_fit(subparsers: Subparsers) -> None:
     )
     add_effects_option(parser)
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.diagnosis.commands.fit"))
+    parser.set_defaults(run=Later("hil.diagnosis.commands.model", "run_fit"))
 
 
 # -- hil apply ---------------------------------------------------------------------------------------------------------
@@ -119,7 +119,7 @@ def add_apply(subparsers: Subparsers) -> None:
     parser.add_argument("--out", metavar="OUT.csv", required=True, help="the records with two columns added")
     add_effects_option(parser)
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.diagnosis.commands.apply"))
+    parser.set_defaults(run=Later("hil.diagnosis.commands.model", "run_apply"))
 
 
 # -- hil campaign ------------------------------------------------------------------------------------------------------

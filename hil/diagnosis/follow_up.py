@@ -148,9 +148,7 @@ def follow_up(
     return FollowUp(told, asked[0], asked[1], tuple(undecided))
 
 
-def ruled_out(
-    asked: FollowUp, records: Records, declared: Model | None, *, effects: Sequence[Effect] = ALL
-) -> set[str]:
+def ruled_out(asked: FollowUp, records: Records, *, effects: Sequence[Effect]) -> set[str]:
     """The causes of the finding that a run was made for which all rows together now reject.
 
     asked: the follow-up that led to the run; records: all rows, with those of the run. Nothing is ruled out where no
@@ -160,8 +158,7 @@ def ruled_out(
         return set()
     finding = asked.finding
     beside = [term for other in asked.diagnosis.findings if other is not finding for term in other.terms]
-    rows, base = _against(finding, thinned(records), declared)
-    weight = {cause.id: cause.weight for cause in weigh(rows, base, effects, beside)}
+    weight = {cause.id: cause.weight for cause in weigh(thinned(records), None, effects, beside)}
     suspects = {finding.effect, *(rival.effect for rival in finding.rivals if rival.effect in weight)}
     left = {name for name in suspects if weight.get(name, 0.0) >= LEAST}
     return suspects - left if left else set()

@@ -4,8 +4,10 @@ loop on the axis.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from functools import partial
+from string import Formatter
 
 from nicegui import ui
 
@@ -14,10 +16,11 @@ from hil.desk.worker_process import Passes, Work
 from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP
 from hil.diagnosis.loop.page import draw_loop
 from hil.diagnosis.page_data import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
-from hil.diagnosis.pages.sentences import parameter, sentence
+from hil.ui.report.views import with_unit
 from hil.ui.screen.campaigns import Measurement
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Reading, Table, Tabs, measurement_words
+from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import View
 
 DIAGNOSE = Work("diagnose", "hil.diagnosis.job:diagnose_campaign")
@@ -315,3 +318,56 @@ def _effect(view: View, name: str) -> str:
 
 def _percent(share: float | None) -> float | None:
     return None if share is None else 100.0 * share
+
+
+BOUND = re.compile(r"(least|most)_(.+)")
+"""A parameter of which the rows determine only a bound."""
+
+
+def sentence(t: Texts, finding: ShownFinding) -> str:
+    """The finding in one sentence, with figures and units."""
+    form = re.sub(r"\W+", "_", finding.form)
+    known = {name for name, _, _ in finding.parameters}
+    ends = form, form.removesuffix("_about_a_fixed_point"), form.removeprefix("flat_"), "any"
+    keys = [f"explain.{finding.effect}.{end}" for end in ends]
+    if known == {"rms_um"}:
+        keys = ["explain.summed.any"]
+    elif all(BOUND.match(name) for name in known) and any(key in t for key in keys):
+        keys = ["explain.undetermined.any"]
+    inputs = [t.said(name) for name in finding.inputs]
+    places: dict[str, str] = {"input": inputs[0] if inputs else "–", "inputs": " · ".join(inputs)}
+    places["rms"] = t.estimate(finding.rms_um, None, "µm")
+    bounds: dict[str, list[str]] = {}
+    for name, value, std in finding.parameters:
+        stem, unit = _split(t, name)
+        if match := BOUND.fullmatch(stem):
+            bounds.setdefault(match[2], []).append(t(f"bound.{match[1]}", value=t.estimate(value, None, unit)))
+        places[stem] = t.estimate(value, std, unit, finding.intervals.get(name))
+    places |= {stem: ", ".join(parts) for stem, parts in bounds.items()}
+    if "amount_at_shortest_travel" in places:
+        seen, travel = places["amount_at_shortest_travel"], places["shortest_travel"]
+        places["amount"] = t("bound.at_travel", amount=seen, travel=travel)
+    for key in keys if finding.form else ():
+        if key in t and {place for _, place, _, _ in Formatter().parse(t(key)) if place} <= set(places):
+            return t(key, **places)
+    return finding.explanation
+
+
+def parameter(t: Texts, name: str) -> str:
+    """A parameter as a heading, such as "Period, mm"; one of a user's own effect by its own name."""
+    stem, unit = _split(t, name)
+    if (bound := BOUND.fullmatch(stem)) and f"parameter.{bound[2]}" in t:
+        said = t(f"parameter.{bound[1]}", of=t(f"parameter.{bound[2]}"))
+        return f"{said}, {unit}" if unit else said
+    match = re.fullmatch(r"(.+)_(\d+)", stem)
+    key, number = (f"parameter.{match[1]}", match[2]) if match else (f"parameter.{stem}", "")
+    if key not in t:
+        return name
+    said = t(key, number=number) if number else t(key)
+    return f"{said}, {unit}" if unit else said
+
+
+def _split(t: Texts, name: str) -> tuple[str, str]:
+    """The name of a parameter without its unit, and the unit."""
+    stem, unit = with_unit(name)
+    return stem, t("unit.rows") if unit == "rows" else unit

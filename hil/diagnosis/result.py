@@ -109,11 +109,6 @@ class Finding:
         return self.term.effect.id
 
     @property
-    def doubtful(self) -> bool:
-        """Whether a cause outside the catalogue explains it better."""
-        return any(rival.effect == OUTSIDE and rival.confidence > self.confidence for rival in self.rivals)
-
-    @property
     def is_implausible(self) -> bool:
         """Whether no machine behaves like this; nothing is known of the parts where only their sum is determined."""
         return not self.summed and any(term.effect.implausible(term) for term in self.terms)

@@ -105,7 +105,7 @@ def add_iso230_4(subparsers: Subparsers) -> None:
         "--circle", metavar="NAME", help="which circle of a .json: uncorrected, tables, corrected (default: the last)"
     )
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.files.iso230_4"))
+    parser.set_defaults(run=Later("hil.files.iso230", "run_circle"))
 
 
 # -- hil records -------------------------------------------------------------------------------------------------------
@@ -201,7 +201,7 @@ def add_seal(subparsers: Subparsers) -> None:
     add_key_options(parser, required=True)
     add_reading_options(parser)
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.files.seal"))
+    parser.set_defaults(run=Later("hil.files.sealing", "run_seal"))
 
 
 # -- hil open ----------------------------------------------------------------------------------------------------------
@@ -228,7 +228,7 @@ def add_open(subparsers: Subparsers) -> None:
     parser.add_argument("--force", action="store_true", help="replace files that are already in DIR")
     add_reading_options(parser)
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.files.open_"))
+    parser.set_defaults(run=Later("hil.files.sealing", "run_open"))
 
 
 # -- hil sign ----------------------------------------------------------------------------------------------------------
@@ -264,7 +264,7 @@ def add_sign(subparsers: Subparsers) -> None:
     )
     add_key_options(parser, required=False)
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.files.sign"))
+    parser.set_defaults(run=Later("hil.files.sealing", "run_sign"))
 
 
 # -- hil check ---------------------------------------------------------------------------------------------------------
@@ -288,4 +288,4 @@ def add_check(subparsers: Subparsers) -> None:
     parser.add_argument("--builder", metavar="BUILDER.pub", required=True, help="the builder's public key")
     parser.add_argument("--signature", metavar="SIG", help="the detached signature (default: FILE.sig)")
     add_json_option(parser)
-    parser.set_defaults(run=Later("hil.files.check"))
+    parser.set_defaults(run=Later("hil.files.sealing", "run_check"))

@@ -125,7 +125,7 @@ def run_trend(args: argparse.Namespace) -> int:
     if args.out:
         from hil.fleet.report import render_trend  # noqa: PLC0415  (plots are slow to import)
 
-        _write_page(args, render_trend(found, "What ages in the fleet", _under(state), unread))
+        _write_page(args, render_trend(found, _under(state), unread))
     if args.json:
         write_json(args.json, {"complete": state.complete, **trend_json(found), "not_read": unread})
     return 1 if found.alarms else 0
@@ -160,7 +160,7 @@ def run_compare(args: argparse.Namespace) -> int:
     if args.out:
         from hil.fleet.report import render_compare  # noqa: PLC0415  (plots are slow to import)
 
-        _write_page(args, render_compare(found, "Axes beside each other", _under(state), unread))
+        _write_page(args, render_compare(found, _under(state), unread))
     if args.json:
         compared = [compare_json(one) for one in found]
         write_json(args.json, {"complete": state.complete, "compared": compared, "not_read": unread})
@@ -190,7 +190,7 @@ def run_diagnose(args: argparse.Namespace) -> int:
     if args.out:
         from hil.fleet.report import render_causes  # noqa: PLC0415  (plots are slow to import)
 
-        _write_page(args, render_causes(causes, "Causes over the fleet", _under(state), unread))
+        _write_page(args, render_causes(causes, _under(state), unread))
     if args.json:
         forms = [cause_json(one) for one in causes]
         write_json(args.json, {"complete": state.complete, "causes": forms, "axes": len(tasks), "not_read": unread})

@@ -40,7 +40,7 @@ def _page(title: str, under: str, blocks: Sequence[Block]) -> str:
     return page(title, [header(title, under), html(blocks)])
 
 
-def render_trend(found: FleetTrend, title: str, under: str, unread: Sequence[str]) -> str:
+def render_trend(found: FleetTrend, under: str, unread: Sequence[str]) -> str:
     """The page of `hil fleet trend`. unread: campaigns that could not be read, with the reason."""
     alarms = found.alarms
     lead = f"{len(alarms)} of {len(found.aged)} series alarm." if alarms else f"No alarm in {len(found.aged)} series."
@@ -63,7 +63,9 @@ def render_trend(found: FleetTrend, title: str, under: str, unread: Sequence[str
         )
         blocks += [Heading(name, 3), Drawing(f"series{at}", f"series-{at}", partial(series_figure, one), name, caption)]
     return _page(
-        title, under, [*blocks, *_left_out(unread, [f"axis {one.axis}, {one.about.title}" for one in found.short])]
+        "What ages in the fleet",
+        under,
+        [*blocks, *_left_out(unread, [f"axis {one.axis}, {one.about.title}" for one in found.short])],
     )
 
 
@@ -114,7 +116,7 @@ def _dates(ax: Axes) -> None:
     ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
 
 
-def render_compare(found: Sequence[Compared], title: str, under: str, unread: Sequence[str]) -> str:
+def render_compare(found: Sequence[Compared], under: str, unread: Sequence[str]) -> str:
     """The page of `hil fleet compare`."""
     blocks: list[Block] = []
     for one in found:
@@ -139,7 +141,7 @@ def render_compare(found: Sequence[Compared], title: str, under: str, unread: Se
             drawing,
             Table(compare_head(one), rows, "words"),
         ]
-    return _page(title, under, [*blocks, *_left_out(unread, ())])
+    return _page("Axes beside each other", under, [*blocks, *_left_out(unread, ())])
 
 
 def compare_figure(one: Compared, theme: Theme, ground: Ground) -> FigureBase:
@@ -166,7 +168,7 @@ def compare_figure(one: Compared, theme: Theme, ground: Ground) -> FigureBase:
         return figure
 
 
-def render_causes(causes: Sequence[Cause], title: str, under: str, unread: Sequence[str]) -> str:
+def render_causes(causes: Sequence[Cause], under: str, unread: Sequence[str]) -> str:
     """The page of `hil fleet diagnose`."""
     number = counted(causes)
     blocks: list[Block] = []
@@ -181,7 +183,7 @@ def render_causes(causes: Sequence[Cause], title: str, under: str, unread: Seque
     blocks += [Heading("Axis by axis"), Table(causes_head(), rows, "words")]
     said_of = tuple(f"{one.task.axis}: {one.explanation}" for one in causes[:MOST_ROWS] if one.explanation)
     blocks += [Heading("In words"), Bullets(said_of, "remarks")] if said_of else []
-    return _page(title, under, [*blocks, *_left_out(unread, ())])
+    return _page("Causes over the fleet", under, [*blocks, *_left_out(unread, ())])
 
 
 def causes_figure(number: dict[str, int], theme: Theme, ground: Ground) -> FigureBase:

@@ -32,7 +32,7 @@ from hil.parameters.preflight import (
     predict,
     seconds_together,
 )
-from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
+from hil.parameters.report import Ending, JobReport, Verdict, shown, slow
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.snapshot import Backup
@@ -79,8 +79,10 @@ def progress_bars() -> Iterator[Progress]:
         yield show
 
 
-# -- backup, diff and verify -------------------------------------------------------------------------------------------
-_MOST_DIFFERENCES = 60
+def tell(who: str, *lines: object) -> None:
+    """Print each line that is not empty, with the axis or drive that it is of."""
+    for line in filter(None, lines):
+        print(f"{who}: {line}")
 
 
 # -- backup ------------------------------------------------------------------------------------------------------------
@@ -92,13 +94,10 @@ def backup(args: argparse.Namespace) -> int:
         backups = back_up_axes(axes, paths, args.format, everything=args.everything, progress=progress)
     for axis, path, backup in zip(axes, paths, backups, strict=True):
         if backup.contents is None:
-            print(f"{axis.name}: {backup.error}")
+            tell(axis.name, backup.error)
             continue
-        print(f"{axis.name}: {len(backup.contents.entries)} parameters in {path}")
-        for note in backup.notes:
-            print(f"{axis.name}: {note}")
-        for address, why in (backup.unreadable or {}).items():
-            print(f"{axis.name}: {address} is left out: {why}")
+        left_out_of_it = (f"{address} is left out: {why}" for address, why in (backup.unreadable or {}).items())
+        tell(axis.name, f"{len(backup.contents.entries)} parameters in {path}", *backup.notes, *left_out_of_it)
     if args.json:
         write_json(args.json, {"drives": [_form(*each) for each in zip(paths, backups, strict=True)]})
     return 0 if all(backup.contents is not None for backup in backups) else 1
@@ -130,33 +129,26 @@ def _form(path: Path, backup: Backup) -> dict[str, object]:
 # -- diff and verify ---------------------------------------------------------------------------------------------------
 def diff(args: argparse.Namespace) -> int:
     """Exit status 0: compared, with or without differences; 1: a drive did not answer."""
-    comparisons = _compared(args)
-    for comparison in comparisons:
-        _print_comparison(comparison, costs=True)
-    _write_json(args, comparisons)
-    return 1 if any(comparison.error for comparison in comparisons) else 0
+    return 1 if any(comparison.error for comparison in _compared(args, costs=True)) else 0
 
 
 def verify(args: argparse.Namespace) -> int:
     """Exit status 0: every drive holds its set; 1: one does not, or did not answer."""
-    comparisons = _compared(args)
-    for comparison in comparisons:
-        _print_comparison(comparison, costs=False)
-    _write_json(args, comparisons)
-    return 0 if all(comparison.same for comparison in comparisons) else 1
+    return 0 if all(comparison.same for comparison in _compared(args, costs=False)) else 1
 
 
-def _compared(args: argparse.Namespace) -> list[Comparison]:
+def _compared(args: argparse.Namespace, *, costs: bool) -> list[Comparison]:
+    """The comparisons, printed and written. costs: also how long a download would take."""
     axes = load_axes(args)
     sets = sets_of(args, axes)
     with progress_bars() as progress:
-        return compare_axes(axes, sets, any_version=args.any_version, progress=progress)
-
-
-def _write_json(args: argparse.Namespace, comparisons: Sequence[Comparison]) -> None:
+        found = compare_axes(axes, sets, any_version=args.any_version, progress=progress)
+    for comparison in found:
+        _print_comparison(comparison, costs=costs)
     if args.json:
-        good = all(each.same for each in comparisons)
-        write_json(args.json, {"good": good, "drives": [each.as_json() for each in comparisons]})
+        good = all(each.same for each in found)
+        write_json(args.json, {"good": good, "drives": [each.as_json() for each in found]})
+    return found
 
 
 def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
@@ -170,13 +162,8 @@ def _print_comparison(comparison: Comparison, *, costs: bool) -> None:
             for row in rows
         ]
         print_parameters("held", cells, _MOST_DIFFERENCES)
-    for objection in comparison.objections:
-        print(f"{name}: {objection}")
-    for note in comparison.notes:
-        print(f"{name}: {note}")
-    if comparison.error:
-        print(f"{name}: {comparison.error}")
-    elif costs:
+    tell(name, *comparison.objections, *comparison.notes, comparison.error)
+    if costs and not comparison.error:
         print_costs(name, "a download", [comparison.cost], comparison.answer_s)
 
 
@@ -224,11 +211,9 @@ def _dry_run(args: argparse.Namespace, axes: Sequence[DriveAxis], sets: Sequence
             objections.append(against)
             omitted = left_out(drive, contents)
             notes.append([omitted] if omitted else [])
-            print(f"{drive.name}: would read {len(wanted)} parameters, write those that differ, and read these back")
-            for note in (*notes[-1], *notes_of_file(drive)):
-                print(f"{drive.name}: {note}")
-            for objection in against:
-                print(f"{drive.name}: would be refused: {objection}")
+            told = f"would read {len(wanted)} parameters, write those that differ, and read these back"
+            refused = (f"would be refused: {objection}" for objection in against)
+            tell(drive.name, told, *notes[-1], *notes_of_file(drive), *refused)
     for prediction in predictions:
         print_costs(prediction.drive, "reading", [prediction.look])
         print_costs(prediction.drive, "writing all of them and reading them back", [prediction.write])
@@ -311,8 +296,9 @@ def _backed_up(axes: Sequence[DriveAxis]) -> bool:
             f" limits, tuning and homing, and hold after a restart; backup: {path}"
             f" (hil params restore {axis.path} --set {path} --store)"
         )
-        for address, why in (backup.unreadable or {}).items():
-            print(f"{axis.name}: {address} is not in the backup: {why}")
+        tell(
+            axis.name, *(f"{address} is not in the backup: {why}" for address, why in (backup.unreadable or {}).items())
+        )
     return all(backup.contents is not None for backup in backups)
 
 
@@ -326,20 +312,10 @@ def _agreed(axes: Sequence[DriveAxis]) -> bool:
 
 
 # -- resume and rollback -----------------------------------------------------------------------------------------------
-def resume(args: argparse.Namespace) -> int:
-    """Finish a download that was cut off. Exit status as of `_recover`."""
-    return _recover(args, forward=True)
-
-
-def rollback(args: argparse.Namespace) -> int:
-    """Take back a download that was cut off. Exit status as of `_recover`."""
-    return _recover(args, forward=False)
-
-
-def _recover(args: argparse.Namespace, *, forward: bool) -> int:
-    """Exit status 0: finished, or nothing to finish; 1: still unfinished."""
+def recover(args: argparse.Namespace) -> int:
+    """Finish a download that was cut off, or take it back. Exit status 0: done, or nothing to do; 1: still unfinished."""
     with progress_bars() as progress:
-        reports = recover_axes(load_axes(args), forward=forward, progress=progress)
+        reports = recover_axes(load_axes(args), forward=args.forward, progress=progress)
     if not reports:
         print("nothing to do: no download was cut off")
         if args.json:
@@ -349,7 +325,7 @@ def _recover(args: argparse.Namespace, *, forward: bool) -> int:
 
 
 # -- output ------------------------------------------------------------------------------------------------------------
-_MOST_ROWS = 40  # of parameters, in the table of a report
+_MOST_ROWS, _MOST_DIFFERENCES = 40, 60  # of parameters, in the table of a report and of a comparison
 
 
 def print_reports(reports: Sequence[JobReport], json: str | None) -> int:
@@ -376,29 +352,15 @@ def _print_report(report: JobReport) -> None:
     refused = report.ending is Ending.REFUSED  # then the reasons matter
     changed = [row for row in report.rows if row.verdict is not Verdict.SAME and not refused]
     if changed:
-        print_parameters("before", [_cells(row) for row in changed], _MOST_ROWS)
-    for objection in report.objections:
-        print(f"{report.drive}: {objection}")
-    for line in (report.error, *report.notes):
-        if line:
-            print(f"{report.drive}: {line}")
-    if report.kept:
-        print(f"{report.drive}: {report.kept}")
-    if report.journal:
-        print(
-            f"{report.drive}: `hil params resume` finishes it, `hil params rollback` takes it back ({report.journal})"
-        )
-    _print_slow(report)
-
-
-def _cells(row: Row) -> list[str]:
-    return [row.address, row.name, shown(row.old), shown(row.new), row.unit, row.verdict.value]
-
-
-def _print_slow(report: JobReport) -> None:
+        cells = [
+            [row.address, row.name, shown(row.old), shown(row.new), row.unit, row.verdict.value] for row in changed
+        ]
+        print_parameters("before", cells, _MOST_ROWS)
+    ways = f"`hil params resume` finishes it, `hil params rollback` takes it back ({report.journal})"
+    tell(report.drive, *report.objections, report.error, *report.notes, report.kept, ways if report.journal else "")
     for row in slow(report.rows)[:5]:
         times = [f"{kind} {1e3 * time:.1f} ms" for kind, time in (("read", row.read_s), ("write", row.write_s)) if time]
-        print(f"{report.drive}: slow: {row.address} {row.name}, {', '.join(times)}")
+        tell(report.drive, f"slow: {row.address} {row.name}, {', '.join(times)}")
 
 
 def print_costs(who: str, what: str, costs: Sequence[WireTime], answer_s: float = 0.0) -> None:

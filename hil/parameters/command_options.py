@@ -131,9 +131,9 @@ def _add_writing(jobs: Subparsers) -> None:
 
 
 def _add_recovering(jobs: Subparsers) -> None:
-    _add_job(jobs, "resume", "finish a download that was cut off")
-    _add_job(
-        jobs,
-        "rollback",
-        "take back a download that was cut off: everything as it was before",
-    )
+    for name, what in (
+        ("resume", "finish a download that was cut off"),
+        ("rollback", "take back a download that was cut off: everything as it was before"),
+    ):
+        parser = _add_job(jobs, name, what)
+        parser.set_defaults(run=Later("hil.parameters.command", "recover"), forward=name == "resume")

@@ -18,6 +18,7 @@ from hil.parameters.preflight import (
     objections_to_identity,
     unless_held,
 )
+from hil.parameters.report import plain
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.tasks import Progress, counted, no_progress, run_together, serialized
 from hil.parameters.transaction import ended_in
@@ -77,8 +78,8 @@ class Comparison:
                 {
                     **vars(row),
                     "side": row.side.value,
-                    "held": row.held.hex() if isinstance(row.held, bytes) else row.held,
-                    "wanted": row.wanted.hex() if isinstance(row.wanted, bytes) else row.wanted,
+                    "held": plain(row.held),
+                    "wanted": plain(row.wanted),
                 }
                 for row in self.rows
             ],

@@ -98,15 +98,6 @@ def _of_comparison(found: Comparison) -> Outcome:
     return Outcome(outcome, (*objections, *rows)[:MOST_ROWS], same=same, differing=len(rows), warnings=warnings)
 
 
-_ENDINGS = {
-    Ending.UNCHANGED: "unchanged",
-    Ending.WRITTEN: "written",
-    Ending.PUT_BACK: "put_back",
-    Ending.REFUSED: "refused",
-    Ending.UNFINISHED: "unfinished",
-}
-
-
 def _of_report(report: JobReport) -> Outcome:
     rows = [
         ParameterRow(row.address, row.name, shown(row.old), shown(row.new), row.unit, row.verdict.name)
@@ -114,7 +105,7 @@ def _of_report(report: JobReport) -> Outcome:
         if row.verdict is not Verdict.SAME
     ]
     same = len(report.rows) if report.ending.good else len(report.rows) - len(rows)
-    outcome = "stored" if report.stored and report.good else _ENDINGS[report.ending]
+    outcome = "stored" if report.stored and report.good else report.ending.name.lower()
     whole = [str(one) for one in report.objections if not one.address]
     warnings = tuple(line for line in (report.error, *whole, *report.notes) if line)
     return Outcome(

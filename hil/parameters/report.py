@@ -118,14 +118,15 @@ class JobReport:
             "seconds": self.seconds,
             "journal": self.journal,
             "parameters": [
-                {**vars(row), "verdict": row.verdict.value, "old": _plain(row.old), "new": _plain(row.new)}
+                {**vars(row), "verdict": row.verdict.value, "old": plain(row.old), "new": plain(row.new)}
                 for row in self.rows
             ],
             "slow": [row.address for row in slow(self.rows)],
         }
 
 
-def _plain(value: ParameterValue) -> int | float | str:
+def plain(value: ParameterValue | None) -> int | float | str | None:
+    """A value for JSON: bytes as hexadecimal digits."""
     return value.hex() if isinstance(value, bytes) else value
 
 

@@ -4,8 +4,9 @@ corrections and a bore.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from typing import Any
 
 from nicegui import ui
 
@@ -15,6 +16,7 @@ from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.page_data import (
     STORED,
+    BallPositions,
     HistoryCurves,
     HistoryEntry,
     ProbeRecord,
@@ -29,13 +31,12 @@ from hil.probe.page_data import (
     std_um,
     worst_closure_um,
 )
-from hil.probe.pages.at_probe import ProbePage
-from hil.probe.pages.correct import draw_corrections
-from hil.probe.pages.spindle_drawing import around_the_spindle
+from hil.probe.pages.correct import ProbePage, draw_corrections
 from hil.probe.runout import RunOut
 from hil.records.rows import UM_PER_MM
-from hil.ui.screen.drawings import Curve, Drawing, Options, curves
+from hil.ui.screen.drawings import Curve, Drawing, Options, angle_axis, curves
 from hil.ui.screen.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
+from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
 from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]
@@ -285,3 +286,73 @@ def _row(view: View, one: HistoryEntry) -> list[str]:
         t.number(one.closure_um, 2, sign=True),
         verdict if one.verdict == STORED else f"{verdict}: {t.said(one.why)}",
     ]
+
+
+REACH = 1.25
+"""Radius of the plot, as a multiple of the outermost position."""
+
+
+def around_the_spindle(view: View, shown: BallPositions, names: Mapping[str, str]) -> Options:
+    """Chart options of the positions seen along the spindle axis, in µm. names: of "run_out", "circle" and
+    "contacts".
+    """
+    ink, grid = inks(view)
+    size_um, bearing_deg = shown.run_out
+    places = [[_short(far), _short(at)] for far, at in shown.at.values()]
+    circle = {
+        "name": names["circle"],
+        "type": "line",
+        "showSymbol": False,
+        "silent": True,
+        "data": [[_short(size_um), angle] for angle in range(0, 361, 3)],
+        "lineStyle": {"color": ink, "width": 2, "type": "dashed"},
+        "itemStyle": {"color": ink},
+    }
+    arrow = {
+        "name": names["run_out"],
+        "type": "line",
+        "data": [[0, _short(bearing_deg)], [_short(size_um), _short(bearing_deg)]],
+        "symbol": ["none", "circle"],
+        "showSymbol": False,
+        "lineStyle": {"color": PALETTES[view.browser.dark][1], "width": 5},
+        "itemStyle": {"color": PALETTES[view.browser.dark][1]},
+    }
+    contacts = {
+        "name": names["contacts"],
+        "type": "scatter",
+        "symbolSize": 16,
+        "z": 3,
+        "data": [
+            {
+                "value": place,
+                "label": {"formatter": f"{angle}°", "position": "left" if 90 < place[1] < 270 else "right"},
+            }
+            for angle, place in zip(shown.at, places, strict=True)
+        ],
+        "label": {"show": True, "color": ink, "fontSize": 16},
+        "itemStyle": {"color": PALETTES[view.browser.dark][5]},
+    }
+    series: list[dict[str, Any]] = [{**one, "coordinateSystem": "polar"} for one in (circle, arrow, contacts)]
+    label = f"value => ({number_format(view)})(Number(value.toPrecision(3)))"
+    return {
+        "animation": False,
+        "textStyle": {"fontFamily": FONT},
+        "legend": one_line_legend(ink),
+        "polar": {"center": ["50%", "54%"], "radius": "76%"},
+        "angleAxis": angle_axis(ink, grid),
+        "radiusAxis": {
+            "type": "value",
+            "min": 0,
+            "max": _short(REACH * max(size_um, 0.5, *(far for far, _ in shown.at.values()))),
+            "splitNumber": 4,
+            "axisLabel": {"color": ink, "fontSize": 13, "margin": 4, "showMaxLabel": False, ":formatter": label},
+            "axisTick": {"show": False},
+            "axisLine": {"show": False},
+            "splitLine": {"lineStyle": {"color": grid}},
+        },
+        "series": series,
+    }
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.5g}")

@@ -19,7 +19,7 @@ from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.axis.certificate import CertificateConfig, Device, Party
 from hil.axis.identity import identity
-from hil.diagnosis.report.diagnosis import opening, percent, with_unit
+from hil.diagnosis.report.diagnosis import opening, percent
 from hil.figures import FIGURES
 from hil.figures.iso230 import Iso230, symbol
 from hil.figures.iso230_4 import MEANINGS as CIRCULAR
@@ -33,7 +33,7 @@ from hil.ui.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragr
 from hil.ui.report.data import NamedCampaign, environment
 from hil.ui.report.svg import Ground, Theme
 from hil.ui.report.uncertainty import budget_of
-from hil.ui.report.views import list_of, object_of, objects_of, value_of
+from hil.ui.report.views import list_of, object_of, objects_of, value_of, with_unit
 
 NOT_RECORDED = "not recorded with the measurement"
 """What a certificate says of an environment that its records do not hold."""
@@ -57,6 +57,14 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "ppm/K": r"\ppm\kelvin\tothe{-1}",
         "µm/°C": r"\micro\metre\degreecelsius\tothe{-1}",
         "kg": r"\kilogram",
+        "ms": r"\milli\second",
+        "µm/K": r"\micro\metre\kelvin\tothe{-1}",
+        "µm/m": r"\micro\metre\metre\tothe{-1}",
+        "µm/m²": r"\micro\metre\metre\tothe{-2}",
+        "µm/kg": r"\micro\metre\kilogram\tothe{-1}",
+        "µm/%": r"\micro\metre\percent\tothe{-1}",
+        "µm·s²/mm²": r"\micro\metre\second\tothe{2}\milli\metre\tothe{-2}",
+        "rows": r"\one",
         "1": r"\one",
     }
 )
@@ -272,7 +280,7 @@ def loop(common: Common, before: NamedCampaign, after: NamedCampaign, diagnosis:
                         f"{effect} {name}",
                         f"parameter of {effect}",
                         value,
-                        with_unit(name)[1],
+                        with_unit(name)[1] or "1",
                         2 * std if std else None,
                     )
                 )

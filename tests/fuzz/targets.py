@@ -53,7 +53,7 @@ from hil.diagnosis.next.plans import read_plan
 from hil.diagnosis.stored import read_stored
 from hil.effects.model import Model
 from hil.figures.history import read_pass
-from hil.files import iso230_4 as circles
+from hil.files import iso230 as circles
 from hil.parameters.formats import read_any
 from hil.parameters.journal import Journal
 from hil.parameters.set_file import read_set

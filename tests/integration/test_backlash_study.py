@@ -19,8 +19,7 @@ from support.torque_machines import (
     torque_curve,
 )
 
-from hil.backlash.four_sample import four_sample
-from hil.backlash.result import LostMotion, Reversal, fitted_lost_motion
+from hil.backlash.result import LostMotion, Reversal, fitted_lost_motion, four_sample
 from hil.backlash.trace import ReversalTrace
 
 RULES, CAMPAIGNS = 200, 30

@@ -77,7 +77,7 @@ ROOMS = {
         (f"{UNIT}/probe/test_runout.py", f"{UNIT}/probe/test_runout_store.py"),
     ),
     "backlash": Room(
-        (*(f"hil/backlash/{name}.py" for name in ("trace", "four_sample", "fitted", "result")), "hil/axis/backlash.py"),
+        (*(f"hil/backlash/{name}.py" for name in ("trace", "fitted", "result")), "hil/axis/backlash.py"),
         (f"{UNIT}/backlash", f"{UNIT}/axis/test_axis_backlash.py"),
     ),
     "lost_motion": Room(

@@ -14,7 +14,7 @@ from nicegui.events import UploadEventArguments
 from nicegui.page import page
 
 from hil.app.panel.pages import pages
-from hil.app.panel.unfinished import unfinished_work
+from hil.app.panel.server import unfinished_work
 from hil.axis.axis_file import DriveAxis
 from hil.desk.desk import Desk
 from hil.desk.unfinished import UnfinishedWork

@@ -1,9 +1,9 @@
 """The operator's screen: pages in a browser that show the state of `hil.desk` and call it. They contain no logic.
 
-server, guard  addresses, access           frame         what is around every page: stop, alarm, the parts below
-bar            status bar, rail of pages   no_live_data  the banner of silent sources
-events         events and alarm            job_question  a running job's question to the operator
-unfinished     interrupted work            pages         the list of pages
+server         addresses, interrupted work   guard      access
+frame          what is around every page: stop, lost data, alarm, a running job's question
+bar            status bar, rail of pages     events     events and alarm
+elsewhere      answers beside the pages      pages      the list of pages
 
 How a page is added
 

@@ -24,8 +24,13 @@ from hil.app.panel.bar import Page
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
 from hil.app.panel.guard import LOGIN, App, Form, Guard
-from hil.app.panel.unfinished import unfinished_work
+from hil.axis.axis_file import AxisConfig, DriveAxis
+from hil.backlash.job import unrestored
+from hil.backlash.settings import NOTE
 from hil.desk.desk import Desk
+from hil.desk.unfinished import UnfinishedWork, written
+from hil.parameters.job import unfinished
+from hil.records.journal import Campaign
 from hil.report.page import serve_reports
 from hil.ui.screen.browsers import COOKIE, Browsers
 from hil.ui.screen.texts import Texts
@@ -172,3 +177,25 @@ def application(desks: Sequence[Desk], language: str, all_pages: Sequence[Page])
     # a browser that reconnects within this time keeps its page; later it loads the page again
     ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=30.0)
     return app
+
+
+SETTINGS = "settings"
+DOWNLOAD = "download"
+
+
+def unfinished_work(axis: DriveAxis, pages: Sequence[Page]) -> tuple[UnfinishedWork, ...]:
+    """All interrupted work of an axis that one of the pages goes on with. Reads its folder."""
+    directory = axis.store.directory
+    found = []
+    resumed = {kind: page.name for page in pages for kind in page.resumes}
+    for kind, page in resumed.items() if isinstance(axis, AxisConfig) else ():
+        campaign = Campaign.unfinished(directory, kind)
+        if campaign is not None:
+            place = campaign.directory
+            found.append(UnfinishedWork(kind, page, place.name, written(place), campaign.rows))
+    if unrestored(axis):
+        found.append(UnfinishedWork(SETTINGS, "backlash", directory.name, written(directory / NOTE)))
+    download = unfinished(axis)
+    if download is not None:
+        found.append(UnfinishedWork(DOWNLOAD, "parameters", download.set_name, written(download.path)))
+    return tuple(found)

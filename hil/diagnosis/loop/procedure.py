@@ -330,7 +330,7 @@ def decide(
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
         measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
         parts.append(measured)
-        gone = computing(partial(ruled_out, asked, joined(parts), None, effects=effects))
+        gone = computing(partial(ruled_out, asked, joined(parts), effects=effects))
         effects = tuple(effect for effect in effects if effect.id not in gone)
 
 

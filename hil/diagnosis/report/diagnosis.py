@@ -38,6 +38,7 @@ from hil.ui.report.views import (
     position_view,
     value_of,
     with_residual,
+    with_unit,
 )
 
 ACTIONS = {
@@ -102,7 +103,9 @@ def _in_short(finding: Mapping[str, Any]) -> str:
         if (known := estimate_of(form)) is not None:
             word, unit = with_unit(name)
             spread = f"± {markup.significant(2.0 * known.std, 2)}" if known.is_symmetric else f"({_range(form)})"
-            sizes.append(f"{word} {markup.significant(known.value)} {spread}" + (f" {unit}" if unit != "1" else ""))
+            sizes.append(
+                f"{word.replace('_', ' ')} {markup.significant(known.value)} {spread}" + (f" {unit}" if unit else "")
+            )
     sure = value_of(finding, "confidence")
     told = [*sizes[:2], *([] if sure is None else [f"confidence {percent(sure)}"])]
     return f"{finding.get('effect')}" + (f" ({', '.join(told)})" if told else "")
@@ -112,21 +115,6 @@ def _range(form: object) -> str:
     """The interval of a parameter at 95 %; "" where the result, an older one, has none."""
     known = estimate_of(form)
     return "" if known is None or known.profiled is None else " to ".join(map(markup.significant, known.profiled))
-
-
-_ENDINGS = {
-    "_ppm_per_k": "ppm/K", "_ppm_k": "ppm/K", "_ppm": "ppm", "_um": "µm", "_mm": "mm", "_s": "s", "_c": "°C", "_urad": "µrad",
-    "_rad": "rad", "_deg": "°", "_percent": "%", "_kg": "kg", "_um_per_c": "µm/°C",
-}  # fmt: skip
-
-
-def with_unit(parameter: str) -> tuple[str, str]:
-    """A parameter's name in words, and the unit that its name ends in, "1" for none; a phase is in rad. The longest ending decides."""
-    if parameter == "phase":
-        return "phase", "rad"
-    endings = sorted(_ENDINGS, key=len, reverse=True)
-    ending = next((one for one in endings if parameter.endswith(one)), "")
-    return parameter.removesuffix(ending).replace("_", " "), _ENDINGS.get(ending, "1")
 
 
 def _unexplained(diagnosis: Mapping[str, Any]) -> Paragraph:

@@ -12,13 +12,12 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 from matplotlib.figure import FigureBase
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
-from hil.diagnosis.report.mean_curves import MeanCurve, mean_curve
-from hil.diagnosis.report.spectrum import EXCEEDED, Spectrum, spectrum
 from hil.records.rows import Floats
 from hil.ui.report.blocks import Block, DataTable, Drawing, Heading, said
 from hil.ui.report.markup import plain
@@ -254,3 +253,142 @@ def _numbers(values: object) -> Floats | None:
     if not known or any(value is None for value in known):
         return None
     return np.array(known, dtype=np.float64)
+
+
+LINES = 1500
+OVERSAMPLING = 3.0
+SHORTEST_MM = 0.5
+ORDERS = 400
+"""Permutations."""
+EXCEEDED = 0.05
+"""Share of the permutations that exceed the noise level."""
+ONE_SIDED = 0.2
+"""Least determinant of sine and cosine at the targets (0: collinear) at which an amplitude is determined."""
+SAME_MM = 0.01
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Periods descending, (f,), amplitudes there, (f,); level_um: noise level that the highest line exceeds by chance
+    in EXCEEDED of all cases.
+    """
+
+    period_mm: Floats
+    amplitude_um: Floats
+    level_um: float
+
+    @property
+    def highest(self) -> tuple[float, float]:
+        """Period and amplitude of the highest line."""
+        top = int(np.argmax(self.amplitude_um))
+        return float(self.period_mm[top]), float(self.amplitude_um[top])
+
+
+def spectrum(target_mm: Floats, residual_um: Floats, run: Floats, seed: int = 0) -> Spectrum | None:
+    """The spectrum of rows, each array (n,); None where the targets resolve fewer than two periods."""
+    frequency = _frequencies(target_mm)
+    if len(frequency) < 2 or len(target_mm) < 8:
+        return None
+    angle = 2 * np.pi * target_mm[:, None] * frequency
+    sine, cosine = (wave - np.mean(wave, axis=0) for wave in (np.sin(angle), np.cos(angle)))
+    ss, cc, sc = np.sum(sine**2, axis=0), np.sum(cosine**2, axis=0), np.sum(sine * cosine, axis=0)
+    determinant = ss * cc - sc**2
+    told = determinant > ONE_SIDED * (0.5 * (ss + cc)) ** 2
+    if np.count_nonzero(told) < 2:
+        return None
+    centred = residual_um - np.mean(residual_um)
+    orders = _in_random_order(centred, run, np.random.default_rng(seed))
+    y = np.column_stack([centred, orders]).astype(np.float32)
+    sy, cy = (wave[:, told].T.astype(np.float32) @ y for wave in (sine, cosine))
+    ss, cc, sc, determinant = (each[told, None] for each in (ss, cc, sc, determinant))
+    amplitude = np.hypot(cc * sy - sc * cy, ss * cy - sc * sy) / determinant
+    level = float(np.quantile(np.max(amplitude[:, 1:], axis=0), 1.0 - EXCEEDED))
+    return Spectrum(1.0 / frequency[told], np.asarray(amplitude[:, 0], dtype=np.float64), level)
+
+
+def _frequencies(target_mm: Floats) -> Floats:
+    """Even in frequency, finer than the travel resolves, up to the resolution of the targets, per mm, ascending."""
+    places = np.unique(np.round(target_mm / SAME_MM)) * SAME_MM
+    travel = float(np.ptp(places))
+    if travel <= 0.0:
+        return np.zeros(0)
+    shortest = SHORTEST_MM
+    if 3 * len(places) <= len(target_mm):  # the same targets again and again: nothing is known between them
+        shortest = max(shortest, 2.0 * float(np.median(np.diff(places))))
+    step = 1.0 / (OVERSAMPLING * travel)
+    count = int(min(LINES, (1.0 / shortest - 1.0 / travel) / step + 1.0))
+    return np.asarray(1.0 / travel + step * np.arange(max(count, 0)))
+
+
+def _in_random_order(values: Floats, run: Floats, rng: np.random.Generator) -> Floats:
+    """The values (n,) with those of each run permuted ORDERS times, shape (n, ORDERS)."""
+    out = np.empty((len(values), ORDERS))
+    for number in np.unique(run):
+        rows: NDArray[np.int64] = np.flatnonzero(run == number)
+        order = np.argsort(rng.random((len(rows), ORDERS)), axis=0)
+        out[rows] = values[rows][order]
+    return out
+
+
+Index = np.ndarray[tuple[int, ...], np.dtype[np.intp]]
+
+ROWS_PER_BIN = 12
+MOST_BINS = 16
+MOST_LEVELS = 10
+"""Up to so many values, each with its neighbours within NEAR of the span, each is a bin of its own."""
+NEAR = 0.05
+BAND = 0.95
+"""Confidence level of the band."""
+
+
+@dataclass(frozen=True)
+class MeanCurve:
+    """label: of its rows; at: mean of the column in each bin, ascending; mean, low, high: of the residual, µm; rows in
+    it; each (k,)
+
+    levels: the bins are levels that were set, between which nothing was measured
+    """
+
+    label: str
+    at: Floats
+    mean_um: Floats
+    low_um: Floats
+    high_um: Floats
+    rows: Floats
+    levels: bool
+
+
+def mean_curve(label: str, x: Floats, residual_um: Floats) -> MeanCurve:
+    """The curve of rows, each array (n,), n ≥ 1. A bin of a single row has no band (low and high are NaN)."""
+    level = _levels(x)
+    levels = level is not None
+    index = _bins(x) if level is None else level
+    rows = np.bincount(index).astype(np.float64)
+    at = np.bincount(index, weights=x) / rows
+    mean = np.bincount(index, weights=residual_um) / rows
+    square = np.bincount(index, weights=(residual_um - mean[index]) ** 2)
+    dof = np.maximum(rows - 1, 1)
+    half = scipy.special.stdtrit(dof, (1 + BAND) / 2) * np.sqrt(square / dof / rows)
+    half[rows < 2] = np.nan
+    return MeanCurve(label, at, mean, mean - half, mean + half, rows, levels)
+
+
+def _levels(x: Floats) -> Index | None:
+    """Level of each row, numbered upwards, shape (n,); None where the column does not keep to few levels."""
+    order = np.argsort(x, kind="stable")
+    span = float(np.ptp(x))
+    rank = np.concatenate([[0], np.cumsum(np.diff(x[order]) > NEAR * span)])
+    if rank[-1] >= MOST_LEVELS:
+        return None
+    index = np.empty(len(x), dtype=np.intp)
+    index[order] = rank
+    widths = [float(np.ptp(x[index == level])) for level in range(int(rank[-1]) + 1)]
+    return index if max(widths) <= NEAR * span else None
+
+
+def _bins(x: Floats) -> Index:
+    """Bins of equal count as far as ties allow, numbered without gaps, shape (n,)."""
+    count = int(np.clip(len(x) // ROWS_PER_BIN, 2, MOST_BINS))
+    edges = np.unique(np.quantile(x, np.linspace(0, 1, count + 1)))
+    index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(0, len(edges) - 2))
+    return np.unique(index, return_inverse=True)[1].reshape(-1)

@@ -189,13 +189,26 @@ def _varies(values: Floats) -> bool:
     return bool(np.all(np.isfinite(values)) and np.ptp(values) > 0)
 
 
+UNITS = {
+    "_um_s2_per_mm2": "µm·s²/mm²", "_um_per_percent": "µm/%", "_um_per_kg": "µm/kg", "_um_per_m2": "µm/m²", "_um_per_m": "µm/m",
+    "_um_per_k": "µm/K", "_um_per_c": "µm/°C", "_ppm_per_k": "ppm/K", "_ppm_k": "ppm/K", "_ppm": "ppm", "_mm_s": "mm/s", "_mm": "mm",
+    "_um": "µm", "_urad": "µrad", "_rad": "rad", "_deg": "°", "_ms": "ms", "_s": "s", "_c": "°C", "_hpa": "hPa", "_percent": "%",
+    "_kg": "kg", "_rows": "rows", "phase": "rad",
+}  # fmt: skip
+"""Unit by the end of the name of a column or of an effect's parameter; the longest end decides."""
+
+
+def with_unit(name: str) -> tuple[str, str]:
+    """A name without its unit, and the unit, "" for none."""
+    ending = max((one for one in UNITS if name.endswith(one)), key=len, default="")
+    return name.removesuffix(ending) or name, UNITS.get(ending, "")
+
+
 def label_of(column: str, unit: object = None) -> str:
     """A column's name as an axis label: `temp_screw_c` is 'Temp screw, °C'. unit: in place of the one that the name ends in."""
-    units: dict[str, str] = {"_mm_s": "mm/s", "_mm": "mm", "_c": "°C", "_hpa": "hPa", "_percent": "%", "_kg": "kg"}
-    units |= {"_urad": "µrad", "_um": "µm", "_s": "s"}
-    ending = next((ending for ending in units if column.endswith(ending)), "")
-    name = plain(column).removesuffix(ending).replace("_", " ").capitalize() or "X"
-    stated = plain(unit) if unit else units.get(ending, "")
+    stem, stated = with_unit(plain(column))
+    stated = plain(unit) if unit else stated
+    name = stem.replace("_", " ").capitalize() or "X"
     return f"{name}, {stated}" if stated else name
 
 

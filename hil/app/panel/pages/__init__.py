@@ -3,7 +3,7 @@
 from functools import partial
 
 from hil.app.panel.bar import Page
-from hil.app.panel.pages import axes, overview
+from hil.app.panel.pages import overview
 from hil.backlash import page as backlash
 from hil.calibration import page as calibrate
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY
@@ -24,7 +24,7 @@ def pages(probe_machine: ProbeMachineConfig | None, procedure: type[Procedure] |
     own = () if procedure is None else (_own_page(procedure),)
     return (
         Page("overview", overview.draw),
-        Page("axes", axes.draw, several=True),
+        Page("axes", overview.draw_axes, several=True),
         Page("calibrate", calibrate.draw, resumes=(CALIBRATE, VERIFY, UNCORRECTED)),
         Page("backlash", backlash.draw, jobs=("backlash",)),
         Page("lost_motion", lost_motion.draw, jobs=("lost motion", "circle"), resumes=(LOST_MOTION,)),

@@ -10,6 +10,7 @@ from operator import attrgetter
 from nicegui import ui
 
 from drivers.drive import DriveState
+from hil.desk.desk import Desk
 from hil.desk.live import Live
 from hil.ui.screen.pieces import Reading, tables_written
 from hil.ui.screen.plots import Channel, LiveChart
@@ -178,3 +179,29 @@ def _environment(view: View, live: Live) -> str:
     parts.append(f"{number(air.air_humidity_percent, 0)} %")
     parts += [f"{view.t.said(place)} {number(value, 2)} °C" for place, value in sorted(air.place_temps_c.items())]
     return " · ".join(parts)
+
+
+def draw_axes(view: View) -> None:
+    with ui.element("div").classes("hil-grid"):
+        parts = [_draw_axis(view, desk) for desk in view.desks]
+
+    view.every(*parts)
+
+
+def _draw_axis(view: View, desk: Desk) -> Callable[[], None]:
+    t = view.t
+    card = view.live(ui.element("section").classes("hil-card"), "drive", desk)
+    with view.named(card, f"axes.{desk.name}"):
+        ui.link(t("header.axis", name=desk.name), f"/axis/{desk.name}/overview").classes("hil-name")
+        state = ui.label().classes("hil-name")
+        position = view.value("overview.position", "mm", name=f"axes.{desk.name}.position")
+        channel = Channel("overview.following_error", "µm", attrgetter("following_error_um"))
+        plot = LiveChart(view, f"plot.axes.{desk.name}", [channel], desk)
+
+    def refresh() -> None:
+        live = desk.live
+        state.set_text(t("header.lost", why=live.trouble) if live.trouble else t(f"state.{live.state.name}"))
+        position.set_text(t.number(live.position_load_mm))
+        plot.refresh()
+
+    return refresh

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import InputError
-from hil.backlash.four_sample import FourSampleRule, four_sample
+from hil.backlash.result import first_peak_um, four_sample
 from hil.backlash.trace import ReversalTrace
 
 
@@ -29,17 +29,12 @@ from hil.backlash.trace import ReversalTrace
     ],
 )
 def test_literal_sequences(torques: list[float], peak_um: float | None) -> None:
-    rule = FourSampleRule()
-    found = [rule.feed(float(um), torque) for um, torque in enumerate(torques)]
-    first = next((value for value in found if value is not None), None)
-    assert first == peak_um
+    assert first_peak_um(range(len(torques)), torques) == peak_um
 
 
 def test_it_speaks_at_the_fourth_sample_and_not_before() -> None:
-    rule = FourSampleRule()
-    assert [rule.feed(um, torque) for um, torque in ((0.0, 1.0), (1.0, 2.0), (2.0, 3.0))] == [None, None, None]
-    assert rule.feed(3.0, 2.0) == 2.0
-    assert rule.feed(4.0, 1.0) is None  # it remembers four
+    assert first_peak_um([0.0, 1.0, 2.0], [1.0, 2.0, 3.0]) is None
+    assert first_peak_um([0.0, 1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 2.0]) == 2.0
 
 
 def test_of_a_trace_it_takes_one_reading_a_step_and_the_motors_own_distance() -> None:

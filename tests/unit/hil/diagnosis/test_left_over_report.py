@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 
 from hil.diagnosis.report.diagnosis import section
-from hil.diagnosis.report.left_over import panels, panels_plot, read, spectrum_plot
-from hil.diagnosis.report.mean_curves import mean_curve
-from hil.diagnosis.report.spectrum import spectrum
+from hil.diagnosis.report.left_over import mean_curve, panels, panels_plot, read, spectrum, spectrum_plot
 from hil.ui.report.blocks import Block, DataTable, Drawing, Paragraph, walk
 from hil.ui.report.svg import LIGHT, fresh
 

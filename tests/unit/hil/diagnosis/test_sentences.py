@@ -18,8 +18,8 @@ from hil.diagnosis.follow_up import ALONE_MIN
 from hil.diagnosis.model.rivals import separating, to_switch
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.planned_run import Means
+from hil.diagnosis.page import parameter, sentence
 from hil.diagnosis.page_data import ShownFinding, read_shown
-from hil.diagnosis.pages.sentences import parameter, sentence
 from hil.diagnosis.report import diagnosis as diagnosis_part
 from hil.diagnosis.result import OUTSIDE, Finding, RivalFound
 from hil.diagnosis.stored import stored_beside

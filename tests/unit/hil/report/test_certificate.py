@@ -26,12 +26,13 @@ from drivers.errors import InputError
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.correction.sealed import new_key, save_private_key, save_public_key
-from hil.diagnosis.report.diagnosis import opening, with_unit
+from hil.diagnosis.report.diagnosis import opening
 from hil.figures.iso230_4 import iso230_4
 from hil.records.journal import Campaign
 from hil.records.rows import Records, to_csv
 from hil.report import dcc
 from hil.report.certificate import UNITS, Certificate, Common, Stated, blocks, loop, of_result, positioning
+from hil.ui.report import views
 from hil.ui.report.data import NamedCampaign
 
 SECRET = "a long password of the builder"
@@ -335,7 +336,10 @@ def test_circle_and_probe_by_hand(place: Path) -> None:
     sentence = kinds["loop"].sentence
     for said in ("cyclic", "period 10 ± 0.006 mm", "confidence 99.0 %", "fell from", "(before", "(after"):
         assert said in sentence
-    assert with_unit("alpha_ppm_per_k") == ("alpha", "ppm/K")
+    assert views.with_unit("alpha_ppm_per_k") == ("alpha", "ppm/K")
+    assert views.with_unit("slope_um_per_m") == ("slope", "µm/m"), "neither of no unit nor in m"
+    assert views.with_unit("compliance_um_per_kg") == ("compliance", "µm/kg")
+    assert set(views.UNITS.values()) - {"hPa"} <= set(UNITS)
 
 
 def broken_rules(xml: bytes) -> set[str]:

@@ -14,7 +14,7 @@ from support.screen import Screen, inside, is_visible
 
 from hil.app.panel.bar import draw_bar
 from hil.app.panel.pages import overview, pages
-from hil.app.panel.unfinished import unfinished_work
+from hil.app.panel.server import unfinished_work
 from hil.axis.axis_file import load_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore

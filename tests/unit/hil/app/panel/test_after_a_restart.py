@@ -15,7 +15,7 @@ from support.screen import Draw, Screen, inside
 
 from drivers.errors import InputError
 from hil.app.panel.pages import overview, pages
-from hil.app.panel.unfinished import unfinished_work
+from hil.app.panel.server import unfinished_work
 from hil.axis.axis_file import AxisConfig, load_axis, load_drive_axis
 from hil.backlash import job, page
 from hil.backlash.settings import NOTE

@@ -11,7 +11,7 @@ from nicegui import Client
 from nicegui.page import page
 from support.screen import begun_by, inside
 
-from hil.app.panel.job_question import draw_question
+from hil.app.panel.frame import draw_question
 from hil.desk.asking import Pending
 from hil.desk.desk import Desk
 from hil.desk.job import Question

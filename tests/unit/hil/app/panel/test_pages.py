@@ -13,7 +13,7 @@ from support.bench_axis import lay_out
 from support.screen import Screen, inside, is_visible
 
 from hil.app.panel.pages import overview, pages
-from hil.app.panel.unfinished import unfinished_work
+from hil.app.panel.server import unfinished_work
 from hil.axis.axis_file import DriveAxis, load_axis
 from hil.desk.desk import Desk
 from hil.desk.job import Job, Workplace
