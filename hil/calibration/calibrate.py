@@ -29,6 +29,7 @@ from hil.correction.tables import (
     sections_outside,
     split_specified,
 )
+from hil.figures.error_figures import rms
 from hil.machine.events import Event, Listener, silent
 from hil.machine.measure import bidirectional_steps, measure, steps_for_sections
 from hil.machine.session import AxisSession
@@ -167,7 +168,7 @@ def check_proof(before: Records, proof: Records, band: Band | None) -> None:
                 f" ({'+' if direction > 0 else '−'}), where {error_um:+.1f} µm are left of {was_um:+.1f} µm; a pass is wrong there,"
                 " or the machine changes: measure again"
             )
-    was_rms_um, left_rms_um = (_rms_um([errors[where] for where in left]) for errors in (was, left))
+    was_rms_um, left_rms_um = (rms([errors[where] for where in left]) for errors in (was, left))
     uncertainty_um = 2.0 * spread_um / math.sqrt(len(left))
     if not left_rms_um + uncertainty_um < was_rms_um:
         nothing = (
@@ -201,10 +202,6 @@ def _spread_um(records: Records, band: Band | None) -> float:
         > 1
     ]
     return float(np.median(spreads)) if spreads else 0.0
-
-
-def _rms_um(errors_um: Sequence[float]) -> float:
-    return float(np.sqrt(np.mean(np.square(errors_um))))
 
 
 def as_stored(tables: TableSet, correction: CorrectionConfig) -> TableSet:

@@ -16,6 +16,7 @@ from drivers.errors import InputError, UnprovenError
 from hil.axis.axis_file import AxisConfig, StraightnessConfig
 from hil.correction.compensation import Compensation
 from hil.correction.tables import TableSet, section_means, straightness_table
+from hil.figures.error_figures import rms
 from hil.machine.events import Listener, silent
 from hil.machine.measure import bidirectional_steps, measure, other_targets
 from hil.machine.session import AxisSession
@@ -54,7 +55,7 @@ class Straightness:
     @property
     def rms_um(self) -> float:
         """Root mean square of the deviations of both directions."""
-        return float(np.sqrt(np.mean(np.square([self.plus_um, self.minus_um]))))
+        return rms([self.plus_um, self.minus_um])
 
     @property
     def range_um(self) -> float:

@@ -4,8 +4,8 @@ desk         jobs and state of one axis            axis_thread  the thread that 
 job          a job and its place of work           plan         what it moves and writes
 control      which browser may give commands       roles        operator or builder
 live         the state shown of an axis            progress     the state shown of a job
-stop         the operator's stop, and pacing       standstill   how the axis came to rest after it
-asking       a job's questions to the operator     unfinished   interrupted work in the axis's folder
-event_log    what happened at an axis              error_log    program errors
+stop         the operator's stop, its distance     unfinished   interrupted work in the axis's folder
+asking       a job's questions to the operator     event_log    what happened at an axis
+rows         readings and rows for scripts         error_log    program errors
 worker_process, worker_program  computations in a process of their own
 """

@@ -21,8 +21,7 @@ from hil.desk.error_log import ERRORS, ErrorLog
 from hil.desk.job import Job, Question, Workplace
 from hil.desk.live import RATE_HZ, Board, Live, SignalLimits, of_sample
 from hil.desk.progress import JobLog, Phase
-from hil.desk.standstill import Standstill
-from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.desk.stop import Pacing, Standstill, Stop, StoppedByOperator
 from hil.machine.computing import watched
 from hil.machine.session import AxisSession
 from hil.machine.supervisor import Supervisor

@@ -33,7 +33,7 @@ from hil.desk.live import Live, Silence, TracePoint
 from hil.desk.plan import Plan
 from hil.desk.progress import Graph, JobLog, Phase, Progress
 from hil.desk.roles import LockedError, OpenedStore, Rights
-from hil.desk.standstill import CameToRest
+from hil.desk.stop import CameToRest
 from hil.desk.unfinished import UnfinishedWork, discard
 from hil.desk.worker_process import Computed, Passes, Work, WorkerProcess
 

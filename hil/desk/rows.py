@@ -1,9 +1,9 @@
-"""Rows of a measurement as columns, for scripts: to CSV, pandas or Polars."""
+"""One look at an axis, and rows of a measurement as columns, for scripts: to CSV, pandas or Polars."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import replace_file
-from hil.desk.reading import AxisReading
 from hil.records.rows import Floats, Records, to_csv
 
 
@@ -65,3 +64,51 @@ class Rows:
     def to_polars(self) -> Any:
         """A polars.DataFrame; Polars has to be installed."""
         return import_module("polars").DataFrame(dict(self.columns))
+
+
+@dataclass(frozen=True)
+class AxisReading:
+    """One look at the axis. What is not known is None, never a made-up zero.
+
+    time_s: time since the axis was opened, or since its last job began
+    motor_mm: the drive's actual position, mm of the load; instrument_mm: the load's position by the instrument, None before `home()`;
+    instrument_raw_mm: as the instrument shows it
+    std_um: standard deviation of one reading, if several were averaged
+    target_mm, command_mm: target of the last `move_to`, without and with the correction; direction: of arrival there, +1, -1 or 0
+    since_reversal_mm, stroke_mm: commanded travel since the last reversal, and length of the stroke before it, 1e6 before the first
+    sensors: air, workpiece and conditions, by their columns in the record format
+    """
+
+    time_s: float
+    state: str
+    motor_mm: float
+    instrument_mm: float | None = None
+    instrument_raw_mm: float | None = None
+    std_um: float | None = None
+    velocity_mm_s: float | None = None
+    torque_percent: float | None = None
+    following_error_mm: float | None = None
+    homed: bool | None = None
+    fault_code: int | None = None
+    target_mm: float | None = None
+    command_mm: float | None = None
+    direction: int = 0
+    since_reversal_mm: float | None = None
+    stroke_mm: float | None = None
+    sensors: Mapping[str, float] = field(default_factory=dict)
+
+    def row(self, run: int = 1) -> dict[str, float]:
+        """A row of the record format. Raises InputError without a target or an instrument's position: call `home()` and `move_to()`
+        first."""
+        if self.instrument_mm is None or self.target_mm is None or self.command_mm is None:
+            missing = "position of the instrument" if self.instrument_mm is None else "target"
+            raise InputError(f"a reading has no {missing}, expected home() and move_to() before it")
+        row = {"run": float(run), "direction": float(self.direction), "target_mm": self.target_mm}
+        row |= {"measured_mm": self.instrument_mm, "command_mm": self.command_mm, "time_s": self.time_s}
+        row |= {"motor_mm": self.motor_mm, **self.sensors}
+        optional = ("since_reversal_mm", "stroke_mm", "torque_percent")
+        return row | {name: value for name in optional if (value := getattr(self, name)) is not None}
+
+    def __repr__(self) -> str:
+        seen = "–" if self.instrument_mm is None else f"{self.instrument_mm:.5f} mm"
+        return f"<{self.time_s:.2f} s: motor {self.motor_mm:.5f} mm, instrument {seen}, {self.state}>"

@@ -15,6 +15,7 @@ from hil.diagnosis.repeats import PureError
 from hil.effects import Action, Estimate, Term
 from hil.effects.model import Model
 from hil.effects.non_parametric import without_cause
+from hil.figures.error_figures import rms
 
 Floats = NDArray[np.float64]
 
@@ -185,7 +186,7 @@ class Figures:
     @classmethod
     def of(cls, error_um: Floats) -> Figures:
         """Of errors in µm, shape (n,)."""
-        return cls(float(np.sqrt(np.mean(error_um**2))), float(np.max(np.abs(error_um))))
+        return cls(rms(error_um), float(np.max(np.abs(error_um))))
 
 
 @dataclass(frozen=True)

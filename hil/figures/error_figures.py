@@ -5,10 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drivers.errors import InputError
 from hil.figures.iso230 import iso230
 from hil.records.rows import Records
+
+
+def rms(values: ArrayLike) -> float:
+    """Root mean square, in the unit of the values."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def error_figures(records: Records) -> dict[str, Any]:
@@ -16,7 +22,7 @@ def error_figures(records: Records) -> dict[str, Any]:
     error = records.error_um
     figures: dict[str, Any] = {
         "rows": len(records),
-        "rms_um": float(np.sqrt(np.mean(error**2))),
+        "rms_um": rms(error),
         "mean_um": float(np.mean(error)),
         "peak_um": float(np.max(np.abs(error))),
     }

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import SHAPES, Floats, Rise, Shape
+from hil.figures.error_figures import rms
 from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, standard_uncertainties
 
 FOLDS = 5
@@ -204,14 +205,14 @@ def compete(
         for out in (fold == k for k in np.unique(fold)):
             seen = _fit(shape, rows.where(~out), block_mm, table)
             residuals.append(rows.where(out).residual_um(seen))
-        found.append(Contender(fitted, _rms(rows.residual_um(fitted)), _rms(np.concatenate(residuals))))
+        found.append(Contender(fitted, rms(rows.residual_um(fitted)), rms(np.concatenate(residuals))))
     return tuple(sorted(found, key=lambda contender: contender.held_out_rms_um))
 
 
 def as_stated(rise: Rise, reversals: Sequence[MeasuredReversal]) -> Contender:
     """A rise that was not fitted: every row is held out."""
     fitted, rows = Fitted(rise), _Rows.of(reversals)
-    left_um = _rms(rows.residual_um(fitted))
+    left_um = rms(rows.residual_um(fitted))
     return Contender(fitted, left_um, left_um)
 
 
@@ -231,10 +232,6 @@ def uncertainties(
     """
     rows = _Rows.of(reversals)
     return standard_uncertainties(rise, rows.places, length_bounds(float(rows.travel_mm.max()), shortest_mm))
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool) -> Fitted:

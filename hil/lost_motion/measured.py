@@ -86,8 +86,9 @@ class ReversalResult(MeasuredResult):
 
     def facts(self) -> dict[str, str]:
         """The result in a few lines, as label -> text."""
+        from hil.figures.error_figures import rms  # noqa: PLC0415
         from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, separately_determined  # noqa: PLC0415  (loads slowly)
-        from hil.lost_motion.procedure import COVERAGE, rms  # noqa: PLC0415
+        from hil.lost_motion.procedure import COVERAGE  # noqa: PLC0415
 
         found, proof, present = self.raw.estimate, self.raw.proof, self.present
         parameters = {name.replace("_", " "): str(each) for name, each in found.determined.items()}
@@ -122,7 +123,7 @@ class ReversalResult(MeasuredResult):
 
     def form(self) -> dict[str, Any]:
         """As `hil lost-motion --json`."""
-        from hil.lost_motion.procedure import rms  # noqa: PLC0415  (loads slowly)
+        from hil.figures.error_figures import rms  # noqa: PLC0415  (loads slowly)
 
         raw, proof = self.raw, self.raw.proof
         return {

@@ -10,6 +10,7 @@ from functools import partial
 from nicegui import ui
 
 from hil.axis.axis_file import AxisConfig
+from hil.figures.error_figures import rms
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
 from hil.lost_motion.estimate import separately_determined
@@ -21,7 +22,6 @@ from hil.lost_motion.page_data import (
     proof_points,
     rise_curves,
 )
-from hil.lost_motion.procedure import rms
 from hil.records.rows import UM_PER_MM
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks

@@ -25,6 +25,7 @@ from hil.correction.running_lost_motion import Turns, wound_um
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects.base import Term
 from hil.effects.history import remembered
+from hil.figures.error_figures import rms
 from hil.lost_motion.estimate import Estimate, Uncertain, estimate, with_two_tanh
 from hil.lost_motion.fit import MeasuredReversal
 from hil.machine.computing import Computing, at_once
@@ -127,11 +128,6 @@ class LostMotionResult:
     def needless(self) -> bool:
         """What is in force does as well, and stays."""
         return self.proof.needless and not self.estimate.still_rising
-
-
-def rms(values: Floats) -> float:
-    """Root mean square, in the unit of the values."""
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def gain_um(before_um: Floats, after_um: Floats) -> Uncertain:

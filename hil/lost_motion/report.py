@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.effects.history import LONG_STROKE_MM
+from hil.figures.error_figures import rms
 from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
-from hil.lost_motion.procedure import LostMotionResult, Proof, rms
+from hil.lost_motion.procedure import LostMotionResult, Proof
 from hil.lost_motion.published import BesidePublished
 from hil.ui.report import markup
 from hil.ui.report.markup import tile

@@ -7,6 +7,7 @@ Certificate (`hil.report.dcc`). Both print the same numbers.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
@@ -21,6 +22,7 @@ from hil.axis.certificate import CertificateConfig, Device, Party
 from hil.axis.identity import identity
 from hil.diagnosis.report.diagnosis import opening, percent
 from hil.figures import FIGURES
+from hil.figures.error_figures import rms
 from hil.figures.iso230 import Iso230, symbol
 from hil.figures.iso230_4 import MEANINGS as CIRCULAR
 from hil.figures.uncertainty import CONFORMITY_RULE, Budget, Conformity, conformity
@@ -318,8 +320,8 @@ def loop(common: Common, before: NamedCampaign, after: NamedCampaign, diagnosis:
 
 
 def _rms(records: Records) -> tuple[float, str, float]:
-    rms = float(np.sqrt(np.mean(records.error_um**2)))
-    return rms, "µm", 2.0 * rms / float(np.sqrt(2 * len(records)))
+    rms_um = rms(records.error_um)
+    return rms_um, "µm", 2.0 * rms_um / math.sqrt(2 * len(records))
 
 
 def _expanded(known: Budget | str | None, name: str) -> float | None:

@@ -10,8 +10,7 @@ from drivers.clock import NS_PER_S
 from drivers.drive import DriveSample, DriveState
 from drivers.errors import CapabilityError, InputError, LimitError, StateError
 from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
-from hil.desk.reading import AxisReading
-from hil.desk.rows import Rows
+from hil.desk.rows import AxisReading, Rows
 from hil.machine.events import Listener
 from hil.script.given import Passwords
 

@@ -21,9 +21,8 @@ from drivers.errors import (
 from hil.backlash.measured import BacklashResult
 from hil.correction.sealed.errors import SealedError, WrongPasswordError
 from hil.desk.plan import Move
-from hil.desk.reading import AxisReading
 from hil.desk.result import Result
-from hil.desk.rows import Rows
+from hil.desk.rows import AxisReading, Rows
 from hil.drive_table.result import DriveTableResult
 from hil.lost_motion.measured import ReversalResult
 from hil.machine.events import Event

@@ -12,6 +12,7 @@ from hil.diagnosis.fitting import fit_model
 from hil.effects.non_parametric import without_cause
 from hil.effects.user_effects import attributing_errors, check_on
 from hil.effects.warming import goes_beyond_what_was_seen, is_bounded
+from hil.figures.error_figures import rms
 from hil.records.rows import to_csv
 from hil.ui.terminal.output import print_facts, write_json
 from hil.ui.terminal.records_input import read_effects, read_model, read_records
@@ -37,8 +38,8 @@ def run_fit(args: argparse.Namespace) -> int:
     figures = {
         "rows": len(records),
         "runs": len(records.runs),
-        "error_rms_um": float(np.sqrt(np.mean(uncorrected**2))),
-        "residual_rms_um": float(np.sqrt(np.mean(left**2))),
+        "error_rms_um": rms(uncorrected),
+        "residual_rms_um": rms(left),
     }
     print_facts(
         {
@@ -71,8 +72,8 @@ def run_apply(args: argparse.Namespace) -> int:
     replace_file(args.out, to_csv(out).encode("utf-8"))
     figures = {
         "rows": len(records),
-        "before_rms_um": float(np.sqrt(np.mean(before**2))),
-        "after_rms_um": float(np.sqrt(np.mean(after**2))),
+        "before_rms_um": rms(before),
+        "after_rms_um": rms(after),
         "after_peak_um": float(np.max(np.abs(after))),
     }
     print_facts(

@@ -8,10 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import FigureBase
 
 from hil.diagnosis.report import left_over
+from hil.figures.error_figures import rms
 from hil.figures.verdict import FITTED_PLUS_MINUS
 from hil.ui.report import markup, plots
 from hil.ui.report.blocks import (
@@ -87,9 +87,9 @@ def opening(diagnosis: Mapping[str, Any], before: NamedCampaign, after: NamedCam
         what += " More is left that nothing in the catalogue explains."
     floor = value_of(diagnosis, "noise_floor_um")
     noise = "" if floor is None else f" (noise {markup.number(floor)} µm)"
-    rms = [float(np.sqrt(np.mean(one.records.error_um**2))) for one in (before, after)]
-    sizes = [markup.number(one) for one in rms]
-    verb = "did not change:" if sizes[0] == sizes[1] else "fell" if rms[1] < rms[0] else "grew"
+    errors = [rms(one.records.error_um) for one in (before, after)]
+    sizes = [markup.number(one) for one in errors]
+    verb = "did not change:" if sizes[0] == sizes[1] else "fell" if errors[1] < errors[0] else "grew"
     return (
         f"{what} The error {verb} from {sizes[0]} µm RMS ({before.label}, {len(before.records)} rows) to {sizes[1]} µm RMS"
         f" ({after.label}, {len(after.records)} rows measured anew){noise}."

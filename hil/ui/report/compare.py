@@ -15,6 +15,7 @@ import numpy as np
 import scipy
 from matplotlib.figure import FigureBase
 
+from hil.figures.error_figures import rms
 from hil.records.rows import Floats, Records
 from hil.ui.report.blocks import Block, DataTable, Drawing, Heading, said
 from hil.ui.report.data import NamedCampaign
@@ -162,7 +163,7 @@ def verdict(found: Difference) -> str:
             f" the largest difference is {at}."
         )
     mean = float(found.difference_um.mean())
-    said += f" On the average {mean:+.2f} µm, RMS {float(np.sqrt(np.mean(found.difference_um**2))):.2f} µm."
+    said += f" On the average {mean:+.2f} µm, RMS {rms(found.difference_um):.2f} µm."
     if found.between:
         said += f" {found.between} targets are not the other's: its means were taken between its targets."
     return said

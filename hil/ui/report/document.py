@@ -14,10 +14,11 @@ from matplotlib.figure import FigureBase
 
 from hil.correction.tables import Band, SectionMeans, judge
 from hil.figures import FIGURES
+from hil.figures.error_figures import rms
 from hil.figures.iso230 import Iso230, symbol
 from hil.figures.uncertainty import Budget
 from hil.figures.verdict import PLUS_MINUS, At, Decision
-from hil.records.rows import Floats, Records
+from hil.records.rows import Floats
 from hil.ui.report import compare, markup, plots
 from hil.ui.report import uncertainty as uncertainty_part
 from hil.ui.report.blocks import (
@@ -160,11 +161,6 @@ def before_after_image(campaigns: Sequence[NamedCampaign]) -> bytes:
     return file_bytes(plots.before_after_plot(campaigns, LIGHT), "png")
 
 
-def rms_um(records: Records) -> float:
-    """Root mean square of the error as measured, over all rows, µm."""
-    return float(np.sqrt(np.mean(records.error_um**2)))
-
-
 def _verdict(data: ReportData) -> list[Block]:
     """The accuracy at other targets against the limit, in one sentence, and what its ± is; where it was not measured, that."""
     found = data.verified()
@@ -187,7 +183,7 @@ def _tiles(data: ReportData) -> list[Block]:
     for name, title in names if at is At.OTHER else [("A", f"A {at.value}"), *names]:
         pair = [figures.figures()[name] if isinstance(figures, Iso230) else None for figures in (one, other)]
         values.append((title, pair[0], pair[1]))
-    values.append(("RMS error", rms_um(first.records), rms_um(last.records)))
+    values.append(("RMS error", rms(first.records.error_um), rms(last.records.error_um)))
     good = {Decision.PASS: True, Decision.FAIL: False}.get(proof.decision) if proof is not None else None
     top = [] if proof is None else [Tile("Accuracy A at other targets", proof.value, "µm", proof.reason, good=good)]
     found = "" if first is last else first.label
@@ -257,7 +253,7 @@ def _figures_table(data: ReportData) -> list[Block]:
         cells = [uncertainty_part.stated(value, name, known) for value, known in zip(values, spreads, strict=True)]
         rows.append((symbol(name), *cells, *last, meaning))
     spread: list[tuple[str, list[float]]] = [
-        ("RMS error", [rms_um(campaign.records) for campaign in data.campaigns]),
+        ("RMS error", [rms(campaign.records.error_um) for campaign in data.campaigns]),
         ("largest error", [float(np.max(np.abs(campaign.records.error_um))) for campaign in data.campaigns]),
     ]
     for title, numbers in spread:

@@ -14,8 +14,7 @@ from drivers.instrument import Reading, ReadingStatus
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 from hil.desk.axis_thread import limits_of
 from hil.desk.live import Board, Live, SignalLimits, of_sample
-from hil.desk.standstill import CameToRest, Standstill
-from hil.desk.stop import Pacing, Stop, StoppedByOperator
+from hil.desk.stop import CameToRest, Pacing, Standstill, Stop, StoppedByOperator
 from sim_backends.clock import BEAT_NS, SimClock
 
 
