@@ -64,8 +64,8 @@ class ModbusServer:
         self.faces = dict(faces)
         self.faults = WireFaultPlan(faults)
         self.requests = 0
-        # in real time: advance the machine to the present before an answer
-        self.catch_up: Callable[[], None] = lambda: None
+        # in real time: advance the machine to the present before an answer; None: requests are handled whenever time advances
+        self.catch_up: Callable[[], None] | None = None
         self.seen: list[tuple[int, bytes]] = []  # (unit, PDU) of every request, for tests
         self._remember = remember
         self._now_ns = 0
@@ -140,14 +140,15 @@ class ModbusServer:
 
     # -- time ----------------------------------------------------------------------------------------------------------
     def advance(self, now_ns: int, _dt_s: float) -> None:
-        """Advance the faces to now_ns, after handling the requests received, and send replies delayed until now. Raises an error of
-        the thread."""
+        """Advance the faces to now_ns, and send replies delayed until now. Requests received are handled before, except in real time:
+        what arrives while the machine catches up with the present is not of the past. Raises an error of the thread."""
         if self._stopping:
             return
         if self._error is not None:
             raise self._error
         with self._lock:
-            self._pump()
+            if self.catch_up is None:
+                self._pump()
             self._now_ns = now_ns
             for face in self.faces.values():
                 face.tick(now_ns)
@@ -164,7 +165,7 @@ class ModbusServer:
 
     def settle(self) -> None:
         """For SimClock: a sleep is over."""
-        if not self._stopping:
+        if not self._stopping and self.catch_up is None:
             with self._lock:
                 self._pump()
 
@@ -197,7 +198,8 @@ class ModbusServer:
                 except (OSError, ValueError):
                     continue  # a port was closed between the two lines
                 with self._lock:
-                    self.catch_up()
+                    if self.catch_up is not None:
+                        self.catch_up()
                     if ready:
                         self._pump()
                     else:

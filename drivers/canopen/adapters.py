@@ -13,8 +13,10 @@ import sys
 from collections.abc import Mapping
 
 import can
+import serial
 
 from drivers.errors import LinkLostError
+from drivers.serial_writing import write_within
 from drivers.system_errors import causes, told_with_remedy
 
 READ_ERRORS = (can.CanError, OSError, ValueError, TypeError, LookupError, struct.error, EOFError)
@@ -93,10 +95,13 @@ def drop_undecoded(bus: can.BusABC) -> None:
 
 # -- sending -----------------------------------------------------------------------------------------------------------
 def bound_sending(bus: can.BusABC) -> None:
-    """Bound the time that `send` may block on a bus behind a TCP connection (socketcand), which ignores its time-out: the socket gets
-    one of `SEND_S`, so that sending fails when the server no longer reads. Other interfaces keep the time-out themselves, or never
-    wait.
+    """Bound the time that `send` may block: behind a TCP connection (socketcand), which ignores its time-out, the socket gets one of
+    `SEND_S`, so that sending fails when the server no longer reads; a serial port writes by `write_within`. Other interfaces keep the
+    time-out themselves, or never wait.
     """
+    port = getattr(bus, "serialPortOrig", None)  # of slcan
+    if isinstance(port, serial.Serial) and sys.platform != "win32":
+        port.write = lambda data: write_within(port, data, port.write_timeout)
     try:
         number = os.dup(bus.fileno())
     except (OSError, NotImplementedError, ValueError):

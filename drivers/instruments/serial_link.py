@@ -5,12 +5,10 @@ No other module of the instruments uses pyserial; the protocols have no I/O.
 
 from __future__ import annotations
 
-import os
-import sys
-
 import serial
 
 from drivers.errors import LinkLostError
+from drivers.serial_writing import write_now
 from drivers.system_errors import told_with_remedy
 
 MAX_READ_BYTES = 65536  # per call, so that a babbling device cannot hold the caller
@@ -72,10 +70,7 @@ class SerialLink:
         if self._serial is None:
             raise LinkLostError(f"port {self.port} is not open")
         try:
-            if sys.platform == "win32":
-                taken = self._serial.write(data)
-            else:  # pyserial's own write spins until its time-out on a port that takes nothing
-                taken = os.write(self._serial.fileno(), data)
+            taken = write_now(self._serial, data)
         except (serial.SerialException, OSError) as error:
             raise LinkLostError(f"port {self.port} is gone: {error}") from error
         if taken != len(data):

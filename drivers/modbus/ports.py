@@ -9,10 +9,8 @@ destroyed it.
 
 from __future__ import annotations
 
-import os
 import queue
 import socket
-import sys
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -25,6 +23,7 @@ import serial
 from drivers.clock import IO_SLICE_S
 from drivers.listening import Listening
 from drivers.modbus.plan import silent_interval_s
+from drivers.serial_writing import write_now
 
 Check = Callable[[], None]
 """check(): raises the error that ends the present wait, such as the operator's stop (`Clock.check_interrupt`)."""
@@ -273,7 +272,7 @@ class SerialPort(Port):
 
     def _put(self, port: serial.Serial, frame: bytes, check: Check) -> None:
         for slice_s in slices(Listening(self._timeout_s), check):
-            frame = frame[_written(port, frame) :]
+            frame = frame[write_now(port, frame) :]
             if not frame:
                 return
             time.sleep(slice_s)
@@ -354,13 +353,3 @@ def _taken(port: serial.Serial, *, wait: bool = False) -> bytes:
             time.sleep(_LOOK_S)
         data: bytes = port.read(port.in_waiting)
         return data
-
-
-def _written(port: serial.Serial, frame: bytes) -> int:
-    """Number of bytes that the port took, without waiting: pyserial's own write spins until its time-out on a port that takes none."""
-    if sys.platform == "win32":
-        return int(port.write(frame) or 0)
-    try:
-        return os.write(port.fileno(), frame)
-    except BlockingIOError:
-        return 0

@@ -1,7 +1,13 @@
 """What a simulated part served on a real interface does by itself: keeps pace with a wall clock, and goes to and fro."""
 
+from contextlib import closing
+
+from pymodbus.client import ModbusTcpClient
+
 from drivers.clock import NS_PER_S, Clock
+from sim_backends.bench import Bench
 from sim_backends.clock import SimClock
+from sim_backends.machine import modbus_face, modbus_server
 from sim_backends.plant.axis import FeedAxis
 from sim_backends.plant.parameters import ideal_axis
 from sim_backends.serve import Pace, Shuttle, ShuttleParameters, run_in_real_time
@@ -47,6 +53,25 @@ def test_a_short_absence_is_caught_up_and_a_long_one_forgotten() -> None:
 
     run_in_real_time(Pace(sim, wall), keep_running=running)
     assert 1.9 * NS_PER_S < sim.now_ns() < 2.1 * NS_PER_S
+
+
+def test_a_request_that_comes_while_a_server_catches_up_is_answered_by_the_present() -> None:
+    """Else a drive tells of a moment before readings of its instrument that come later."""
+    wall = PretendedWall()
+    with (
+        Bench(wait_for_arrival=False) as bench,
+        modbus_server(bench, wall, {1: modbus_face(bench, "cia402")}, tcp=("127.0.0.1", 0)) as (_, place),
+    ):
+        bench.servo.power_on()
+        bench.servo.move_absolute(1_000_000, 1e6, 1e7)
+        wall.now += NS_PER_S // 2
+        host, port = place.removeprefix("tcp://").split(":")
+        with closing(ModbusTcpClient(host, port=int(port))) as client:
+            client.connect()
+            shown = client.read_holding_registers(0x2002, count=2, device_id=1).registers
+    counts = shown[0] << 16 | shown[1]
+    assert bench.clock.now_ns() == NS_PER_S // 2
+    assert counts == bench.servo.position_actual_counts > 300_000
 
 
 # -- an axis that goes to and fro ----------------------------------------------------------------------------------

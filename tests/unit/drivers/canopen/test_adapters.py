@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import errno
+import os
+import select
 import socket
 import threading
+import tty
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 import can
@@ -138,6 +141,40 @@ def test_an_adapter_that_the_system_says_is_gone_is_gone_at_once(wrapped: bool) 
     ):
         link.wait(lambda: False, 1.0)
     assert bus.reads == 1
+
+
+@contextmanager
+def slcan_on_a_terminal() -> Iterator[tuple[CanLink, int]]:
+    """A link, and the adapter's end of its port, which nothing reads."""
+    master, slave = os.openpty()
+    try:
+        tty.setraw(slave)
+        options = {"sleep_after_open": 0, "timeout": 0}
+        with CanLink.open(WallClock(), interface="slcan", channel=os.ttyname(slave), options=options) as link:
+            yield link, master
+    finally:
+        os.close(master)
+        os.close(slave)
+
+
+def test_a_frame_that_the_port_took_is_sent_however_late_this_process_was() -> None:
+    with slcan_on_a_terminal() as (link, master):
+        for number in range(20):
+            link.send(0x305, bytes([number]), timeout_s=1e-9)  # over before the port is asked
+        sent = b"".join(b"t3051%02X\r" % number for number in range(20))
+        seen = b""
+        while not seen.endswith(sent):
+            seen += os.read(master, 4096)
+
+
+def test_a_frame_that_the_port_does_not_take_in_time_is_not_sent() -> None:
+    with slcan_on_a_terminal() as (link, _):
+        while select.select([], [link.bus], [], 0.2)[1]:  # the kernel makes room until both ends are full
+            with suppress(BlockingIOError):
+                while True:
+                    os.write(link.bus.fileno(), b"\0")
+        with pytest.raises(LinkLostError, match="frame 305h cannot be sent: Could not write"):
+            link.send(0x305, b"", timeout_s=0.01)
 
 
 def test_a_bus_is_named_by_its_channel_never_as_unknown() -> None:
