@@ -10,18 +10,16 @@ from functools import lru_cache
 CRC15 = 0x4599
 TAIL_BITS = 1 + 2 + 7  # CRC delimiter, ACK slot and delimiter, end of frame: never stuffed
 INTERFRAME_BITS = 3
-ERROR_FRAME_BITS = 6 + 6 + 8  # flag, superposed flags at most, delimiter
 
 
-def _frame_head(identifier: int, data: bytes, remote: bool) -> list[int]:
+def _frame_head(identifier: int, data: bytes) -> list[int]:
     """The bits to which stuffing applies, before the CRC: SOF, identifier, RTR, IDE, r0, DLC, data."""
     bits = [0]
     bits += [identifier >> place & 1 for place in range(10, -1, -1)]
-    bits += [int(remote), 0, 0]
+    bits += [0, 0, 0]
     bits += [len(data) >> place & 1 for place in range(3, -1, -1)]
-    if not remote:
-        for byte in data:
-            bits += [byte >> place & 1 for place in range(7, -1, -1)]
+    for byte in data:
+        bits += [byte >> place & 1 for place in range(7, -1, -1)]
     return bits
 
 
@@ -52,9 +50,9 @@ def stuff_bits(bits: list[int]) -> int:
 
 
 @lru_cache(maxsize=65536)
-def frame_bits(identifier: int, data: bytes, *, remote: bool = False) -> int:
+def frame_bits(identifier: int, data: bytes) -> int:
     """Exact length of a base-format frame on the wire in bits, with the interframe space."""
-    head = _frame_head(identifier, data, remote)
+    head = _frame_head(identifier, data)
     crc = crc15(head)
     covered = head + [crc >> place & 1 for place in range(14, -1, -1)]
     return len(covered) + stuff_bits(covered) + TAIL_BITS + INTERFRAME_BITS

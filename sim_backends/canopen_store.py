@@ -42,19 +42,20 @@ class Flash:
         return not self.image or self.checksum == self.sealed()
 
 
+_WRITE_NS = 150_000_000
+"""Duration of writing the memory, ns."""
+
+
 class ParameterStore:
     """1010h and 1011h of one drive.
 
-    may_store(): whether the drive's state allows it. write_ns: duration of writing; the SDO is answered when it is done.
+    may_store(): whether the drive's state allows it. The SDO is answered when the memory is written.
     """
 
-    def __init__(
-        self, dictionary: Dictionary, flash: Flash, may_store: Callable[[], bool], *, write_ns: int = 150_000_000
-    ) -> None:
+    def __init__(self, dictionary: Dictionary, flash: Flash, may_store: Callable[[], bool]) -> None:
         self._od = dictionary
         self.flash = flash
         self._may_store = may_store
-        self._write_ns = write_ns
         self._factory = {key: dictionary.raw(key) for key in dictionary.items}
         self._pending: Iterator[tuple[Key, bytes]] | None = None
         self._left = 0
@@ -92,7 +93,7 @@ class ParameterStore:
             raise RefusedError(WRONG_STATE)
         entries = [(key, self._od.raw(key)) for key in self._kept(group)]
         self._pending, self._total, self._left = iter(entries), len(entries), len(entries)
-        self._started_ns, self._done_ns = self._now_ns, self._now_ns + self._write_ns
+        self._started_ns, self._done_ns = self._now_ns, self._now_ns + _WRITE_NS
         self.flash.writes += 1
 
     def _load(self, group: int, signature: int) -> None:
@@ -106,7 +107,7 @@ class ParameterStore:
         self._now_ns = now_ns
         if self._pending is None:
             return
-        share = min(1.0, (now_ns - self._started_ns) / max(1, self._write_ns))
+        share = min(1.0, (now_ns - self._started_ns) / _WRITE_NS)
         while self._left > round((1.0 - share) * self._total):
             key, data = next(self._pending)
             self.flash.image[key] = data

@@ -299,14 +299,13 @@ class StrictSlave(CanOpenSlave):
         send: Send,
         *,
         maker: MakerFile,
-        counts_per_rev: int = 4096,
         lead_m: float = 0.010,
         servos: Sequence[SimulatedServo] = (),
         **others: Any,
     ) -> None:
         self.maker = maker
         self._servos = (servo, *servos)
-        self.units = [motion_units(maker, counts_per_rev, lead_m, axis) for axis in range(1, len(self._servos) + 1)]
+        self.units = [motion_units(maker, 4096, lead_m, axis) for axis in range(1, len(self._servos) + 1)]
         self.more: list[StrictProfile] = []
         super().__init__(servo, node_id, send, **others)
 

@@ -58,7 +58,6 @@ class SimulatedGauge(TerminalInstrument):
         parameters: GaugeParameters | None = None,
         faults: tuple[Fault, ...] = (),
         *,
-        start_ns: int = 0,
         wait_for_arrival: bool = True,
     ) -> None:
         self.parameters = p = parameters or GaugeParameters()
@@ -69,7 +68,7 @@ class SimulatedGauge(TerminalInstrument):
         self._period_ns = round(_NS / (p.pulse_hz or p.rate_hz))
         super().__init__(
             faults,
-            first_ns=start_ns + (_LISTEN_NS if self._is_asked else self._period_ns),
+            first_ns=_LISTEN_NS if self._is_asked else self._period_ns,
             latency_s=p.latency_s + (p.answer_s if p.kind == "nd2xx" else 0.0),
             jitter_s=p.jitter_s,
             seed=p.seed + 1,

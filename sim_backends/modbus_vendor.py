@@ -18,6 +18,9 @@ _MOVE, _ORIGIN = 1, 2
 _NAME = b"VS-200A"
 
 
+_QUICK_STOP_RPM_S = 20_000.0
+
+
 class VendorRegisters:
     """`Face` of such a drive. counts_per_rev: of the motor, as speeds are in 0.01 rpm and ramps in 0.1 rpm/s.
 
@@ -33,12 +36,11 @@ class VendorRegisters:
         servo: SimulatedServo,
         *,
         counts_per_rev: int,
-        quick_stop_rpm_s: float = 20_000.0,
         settings: Mapping[str, int] | None = None,
     ) -> None:
         self.servo = servo
         self._counts_per_rpm = counts_per_rev / 60.0
-        self._quick_stop = quick_stop_rpm_s * self._counts_per_rpm
+        self._quick_stop = _QUICK_STOP_RPM_S * self._counts_per_rpm
         self._coils = {"servo_on": 0, "emergency_stop": 0, "alarm_reset": 0, "pause": 0}
         self._motion = {"target": 0, "target_speed": 10_000, "ramp": 30_000, "trigger": 0}
         self._kept: dict[str, float] = {

@@ -16,27 +16,24 @@ from sim_backends.servo import SimulatedServo
 class Pace:
     """Simulated time that follows a real clock, however irregularly `catch_up` is called.
 
-    After a suspension of the host at most `catch_up_s` seconds are caught up with; the rest is dropped, so that the machine does
+    After a suspension of the host at most a second is caught up with; the rest is dropped, so that the machine does
     not run through hours at once. sleep: advances simulated time instead of the clock's, where that takes a lock. Lasers on this
     clock need wait_for_arrival=False.
     """
 
-    def __init__(
-        self, sim: SimClock, wall: Clock, *, catch_up_s: float = 1.0, sleep: Callable[[int], None] | None = None
-    ) -> None:
+    def __init__(self, sim: SimClock, wall: Clock, *, sleep: Callable[[int], None] | None = None) -> None:
         self.wall = wall
         self._sim = sim
         self._sleep = sim.sleep_until_ns if sleep is None else sleep
         self._offset_ns = sim.now_ns() - wall.now_ns()
-        self._catch_up_ns = round(catch_up_s * NS_PER_S)
 
     def catch_up(self) -> None:
         """Advance simulated time to the present."""
         due_ns = self.wall.now_ns() + self._offset_ns
         behind_ns = due_ns - self._sim.now_ns()
-        if behind_ns > self._catch_up_ns:
-            self._offset_ns -= behind_ns - self._catch_up_ns
-            due_ns = self._sim.now_ns() + self._catch_up_ns
+        if behind_ns > NS_PER_S:
+            self._offset_ns -= behind_ns - NS_PER_S
+            due_ns = self._sim.now_ns() + NS_PER_S
         self._sleep(due_ns)
 
 

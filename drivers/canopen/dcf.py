@@ -21,7 +21,6 @@ def render_dcf(
     eds: Path,
     values: Sequence[tuple[Key, bytes]],
     node_id: int | None,
-    bitrate: int | None = None,
     *,
     model: Mapping[str, int | str] | None = None,
 ) -> str:
@@ -54,8 +53,6 @@ def render_dcf(
     commissioning = sections.setdefault("DeviceComissioning", {})  # the standard's spelling
     if node_id is not None:
         commissioning["NodeID"] = str(node_id)
-    if bitrate is not None:
-        commissioning["Baudrate"] = str(bitrate // 1000)
     lines = []
     for name, keys in sections.items():
         lines += [f"[{name}]", *(f"{key}={value}" for key, value in keys.items()), ""]

@@ -62,13 +62,12 @@ class EdsEntry:
 
 @dataclass(frozen=True)
 class EdsFile:
-    """A file's content. notes: the deviations that were accepted; node_id and bitrate are those of a DCF, else None."""
+    """A file's content. notes: the deviations that were accepted; node_id is that of a DCF, else None."""
 
     path: str
     entries: Mapping[Key, EdsEntry]
     notes: tuple[Deviation, ...] = ()
     node_id: int | None = None
-    bitrate: int | None = None
     vendor_number: int | None = None
     product_number: int | None = None
 
@@ -141,14 +140,12 @@ def load_eds(path: str | Path, node_id: int | None = None) -> EdsFile:
     own_id = whole_number(commissioning.get("NodeID"))
     reader = _Reader(parsed, own_id if node_id is None else node_id, path)
     entries = {found.entry.key: found for found in reader.entries()}
-    kilobaud = whole_number(commissioning.get("Baudrate"))
     device = parsed.sections.get("DeviceInfo", {})
     return EdsFile(
         str(path),
         entries,
         tuple(parsed.notes),
         own_id,
-        None if kilobaud is None else 1000 * kilobaud,
         whole_number(device.get("VendorNumber")),
         whole_number(device.get("ProductNumber")),
     )

@@ -148,7 +148,7 @@ class PdoSetup:
                 before = self._found(spec) if before is None else before
                 if not before.holds(wanted_image(spec)):
                     self._changed.append(before)
-                    configure(self._sdo, spec)
+                    configure(self._sdo, spec, before)
         except BaseException as error:
             if not isinstance(error, BridgeError):
                 interrupted()
@@ -183,15 +183,12 @@ def read_image(sdo: SdoClient, pdo: Pdo, entries: int = 0) -> PdoImage:
     return sdo.run(read_pdo(sdo, pdo, (COB_ID, KIND), entries))
 
 
-def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
-    """Bring a PDO into force and verify it by reading back; returns the image before.
+def configure(sdo: SdoClient, spec: PdoSpec, before: PdoImage) -> None:
+    """Bring a PDO into force and verify it by reading back.
 
     Raises AbortError naming the PDO when a step is refused, ProtocolError when the drive holds something else.
     """
-    before = read_image(sdo, spec.pdo, len(spec.entries))
     wanted = wanted_image(spec)
-    if before.holds(wanted):
-        return before
     tried: list[Entry] = []
     try:
         sdo.run(write_pdo(sdo, before, wanted, tried=tried))
@@ -208,4 +205,3 @@ def configure(sdo: SdoClient, spec: PdoSpec) -> PdoImage:
     after = read_image(sdo, spec.pdo)
     if not after.holds(wanted):
         raise read_otherwise(sdo, after, wanted)
-    return before

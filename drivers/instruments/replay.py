@@ -134,11 +134,10 @@ class ReplaySettings:
 class ReplayInstrument(DistanceInstrument):
     """Plays from `open()` on. A row whose value is empty is a reading without a signal."""
 
-    def __init__(
-        self, recording: Recording, clock: Clock, settings: ReplaySettings | None = None, *, name: str = "replay"
-    ) -> None:
-        self.name = name
-        self.settings = settings or ReplaySettings()
+    name = "replay"
+
+    def __init__(self, recording: Recording, clock: Clock, settings: ReplaySettings) -> None:
+        self.settings = settings
         self._values = recording.column(self.settings.column)
         first_s = recording.column("time_s")[0]
         self._due_ns = [round((time - first_s) / self.settings.speed * NS_PER_S) for time in recording.column("time_s")]

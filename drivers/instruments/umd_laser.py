@@ -111,10 +111,10 @@ class UmdLaser(DistanceInstrument):
     With `compensate_air`, good readings are withheld until the air's index is known: `missing_air` names the missing quantities.
     """
 
+    name = "umd"
     numbers_samples = True
 
-    def __init__(self, link: ByteLink, clock: Clock, settings: UmdSettings | None = None, *, name: str = "umd") -> None:
-        self.name = name
+    def __init__(self, link: ByteLink, clock: Clock, settings: UmdSettings | None = None) -> None:
         self.settings = settings or UmdSettings()
         self._link = link
         self._clock = clock

@@ -75,14 +75,13 @@ def ideal_axis() -> PlantParameters:
     return PlantParameters()
 
 
-def geometric_axis(seed: int, length_mm: float = LENGTH_MM, lead_mm: float = 10.0) -> PlantParameters:
+def geometric_axis(seed: int) -> PlantParameters:
     """Pitch error and backlash only, at constant temperature: what a bidirectional table corrects completely."""
     rng = random.Random(seed)
     return PlantParameters(
         seed=seed,
-        length_mm=length_mm,
-        screw=typical_screw(rng.getrandbits(32), length_mm, lead_mm, cyclic_um=0.0),
-        backlash=Backlash(rng.uniform(5.0, 9.0), middle_mm=length_mm / 2, half_travel_mm=length_mm / 2),
+        screw=typical_screw(rng.getrandbits(32), LENGTH_MM, cyclic_um=0.0),
+        backlash=Backlash(rng.uniform(5.0, 9.0), middle_mm=LENGTH_MM / 2, half_travel_mm=LENGTH_MM / 2),
     )
 
 

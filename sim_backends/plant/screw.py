@@ -75,7 +75,6 @@ class Screw:
 def typical_screw(
     seed: int,
     length_mm: float,
-    lead_mm: float = 10.0,
     *,
     pitch_peak_um: float = 12.0,
     cyclic_um: float = 1.2,
@@ -83,11 +82,10 @@ def typical_screw(
     """A ground screw of class IT3 to IT5, not compensated; lengths in mm, amplitudes in µm."""
     rng = random.Random(seed)
     return Screw(
-        lead_mm,
-        SmoothShape.random(rng.getrandbits(32), pitch_peak_um, length_mm, slope_per_mm=0.018),
-        CyclicError(
+        pitch_um=SmoothShape.random(rng.getrandbits(32), pitch_peak_um, length_mm, slope_per_mm=0.018),
+        cyclic=CyclicError(
             amplitude_um=cyclic_um,
-            period_mm=lead_mm,
+            period_mm=Screw.lead_mm,
             second_um=0.35 * cyclic_um,
             phase_rad=rng.uniform(0.0, math.tau),
             second_phase_rad=rng.uniform(0.0, math.tau),

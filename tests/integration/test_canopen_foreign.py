@@ -20,7 +20,7 @@ from drivers.canopen.bus import CanLink
 from drivers.canopen.eds import load_eds
 from drivers.canopen.node import NmtCommand, NmtState, Node, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
-from drivers.canopen.pdo_setup import configure, read_image
+from drivers.canopen.pdo_setup import PdoSetup, read_image
 from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.side_by_side import CanLine
@@ -190,7 +190,7 @@ def test_we_write_a_pdo_configuration_that_they_understand(ours: Ours) -> None:
     link, node = ours
     sdo = SdoClient(link, NODE, "theirs")
     spec = PdoSpec(1, True, 0x180 + NODE, SYNC_EVERY, (objects.STATUSWORD, objects.POSITION_ACTUAL))
-    configure(sdo, spec)
+    PdoSetup(sdo, sdo.node_id, (spec,)).apply(refuse=False)
     assert read_image(sdo, spec.pdo).holds(wanted_image(spec))
     assert node.sdo[0x1A00][1].raw == 0x60410010
     assert node.sdo[0x1A00][2].raw == 0x60640020

@@ -20,7 +20,7 @@ from support.served_drive import served
 from drivers.canopen.bus import CanLink
 from drivers.canopen.node import NmtCommand, NmtState, NodeMonitor
 from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
-from drivers.canopen.pdo_setup import configure, read_image
+from drivers.canopen.pdo_setup import PdoSetup, read_image
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.whole_pdo import wanted_image
 from drivers.cia402.objects import DataType, Entry
@@ -283,7 +283,7 @@ def test_we_configure_a_pdo_of_theirs(peer: NodePeer, sdo: SdoClient) -> None:
         tpdos=[{"cobId": 0x185, "transmissionType": 255, "objects": [0x2001, 0x2000]}],
     )
     spec = PdoSpec(1, True, 0x185, SYNC_EVERY, (STATUS, PLACE))
-    configure(sdo, spec)
+    PdoSetup(sdo, sdo.node_id, (spec,)).apply(refuse=False)
     assert read_image(sdo, spec.pdo).holds(wanted_image(spec))
 
 

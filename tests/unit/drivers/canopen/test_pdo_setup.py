@@ -8,7 +8,7 @@ import pytest
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.pdo import COB_ID, EVENT, KIND, SYNC_EVERY, Pdo, PdoSpec
-from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, configure, entry_of, read_image
+from drivers.canopen.pdo_setup import PdoRefusedError, PdoSetup, entry_of, read_image
 from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
@@ -53,7 +53,7 @@ def test_the_order_of_writes(bench: CanBench, sdo: SdoClient) -> None:
     spy.on_frame = lambda cob_id, data, _now_ns: (
         seen.append(data.hex()) if cob_id == 0x605 and data[0] != 0x40 else None
     )
-    configure(sdo, FEEDBACK)
+    PdoSetup(sdo, sdo.node_id, (FEEDBACK,)).apply(refuse=False)
     assert seen == [
         "23001801850100c0",
         "2f001a0000000000",
@@ -67,12 +67,12 @@ def test_the_order_of_writes(bench: CanBench, sdo: SdoClient) -> None:
 
 
 def test_nothing_is_written_when_it_is_as_wanted(bench: CanBench, sdo: SdoClient) -> None:
-    configure(sdo, FEEDBACK)
+    PdoSetup(sdo, sdo.node_id, (FEEDBACK,)).apply(refuse=False)
     before = sdo.counters.transfers
     seen: list[bytes] = []
     spy = bench.wire.add_node()
     spy.on_frame = lambda cob_id, data, _now_ns: seen.append(data) if cob_id == 0x605 and data[0] != 0x40 else None
-    configure(sdo, FEEDBACK)
+    PdoSetup(sdo, sdo.node_id, (FEEDBACK,)).apply(refuse=False)
     assert seen == []
     assert sdo.counters.transfers > before
 
@@ -201,11 +201,11 @@ def test_a_pdo_that_cannot_be_switched_off_is_mapped_with_a_count_of_0(
     bench: CanBench, sdo: SdoClient, code: int
 ) -> None:
     _mapped_in_place(bench, code)
-    configure(sdo, FEEDBACK)
+    PdoSetup(sdo, sdo.node_id, (FEEDBACK,)).apply(refuse=False)
     assert read_image(sdo, FEEDBACK.pdo).mapped == tuple(entry.mapping for entry in FEEDBACK.entries)
     found = _parameters(bench)
     with pytest.raises(AbortError, match=r"TPDO 1 \(186h\) cannot be configured"):
-        configure(sdo, replace(FEEDBACK, cob_id=0x186, entries=FEEDBACK.entries[:1]))
+        PdoSetup(sdo, sdo.node_id, (replace(FEEDBACK, cob_id=0x186, entries=FEEDBACK.entries[:1]),)).apply(refuse=False)
     assert _parameters(bench) == found
 
 
@@ -213,7 +213,7 @@ def test_a_pdo_that_is_not_switched_off_for_another_reason_is_not_mapped(bench: 
     found = _parameters(bench)
     _mapped_in_place(bench, WRONG_STATE)
     with pytest.raises(AbortError, match=r"TPDO 1 \(185h\) cannot be configured"):
-        configure(sdo, FEEDBACK)
+        PdoSetup(sdo, sdo.node_id, (FEEDBACK,)).apply(refuse=False)
     assert _parameters(bench) == found
 
 
@@ -297,6 +297,6 @@ def test_mapping_values_get_their_names_back() -> None:
 
 def test_an_event_driven_pdo_reads_back(sdo: SdoClient) -> None:
     spec = PdoSpec(3, True, 0x385, EVENT, (objects.ERROR_CODE,))
-    configure(sdo, spec)
+    PdoSetup(sdo, sdo.node_id, (spec,)).apply(refuse=False)
     image = read_image(sdo, spec.pdo)
     assert (image.numbers[False, KIND], image.mapped) == (255, (0x603F0010,))

@@ -17,7 +17,7 @@ TEXT = (
 
 
 def played(path: Path, clock: SimClock, settings: ReplaySettings | None = None) -> ReplayInstrument:
-    instrument = ReplayInstrument(Recording.read(path), clock, settings)
+    instrument = ReplayInstrument(Recording.read(path), clock, settings or ReplaySettings())
     instrument.open()
     return instrument
 
