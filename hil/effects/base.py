@@ -297,9 +297,11 @@ class Likely:
                 slope = np.array([at(unit + STEP * axis) - at(unit - STEP * axis) for axis in axes])
                 if not np.any(slope):
                     break
-                unit = unit + sign * slope / np.linalg.norm(slope)
+                last, unit = unit, unit + sign * slope / np.linalg.norm(slope)
                 unit = unit / max(float(np.linalg.norm(unit)), STEP)
                 found.append(at(unit))
+                if float(np.linalg.norm(unit - last)) < STEP:
+                    break
         return min(found), max(found)
 
     def holds_zero(self, i: int, j: int) -> bool:

@@ -47,6 +47,8 @@ HIGHEST_ORDER = 8
 SAME_PERIOD = 0.02
 """Relative difference below which two periods are one, at least: of one turn of measured signals 1.1 %, where 0.9 % is stated;
 neighbouring orders differ by an eighth and more."""
+MOST_BEATS = 2.0
+"""Periods over the travel with which the amplitude of one cycle may change: the search finds cycles as far from it then."""
 DECADE, FAR_ABOVE = 10.0, 3.0
 """Ends of an interval, over one another and over the value, beyond which only the upper one is stated."""
 COMMON_MM = (0.5, 1.0, 2.0, 2.5, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 16.0, 20.0, 25.0, 32.0, 40.0)
@@ -191,29 +193,35 @@ def is_known(size: Estimate) -> bool:
 
 
 def parts_that_turn(terms: Sequence[Term]) -> list[list[Term]]:
-    """The terms by the part that makes them, each with its longest period first: whole fractions of one period are harmonics, and
-    periods that the travel cannot resolve are one cycle whose amplitude changes along it.
+    """The terms by the part that makes them, its longest cycle first: neighbouring periods are one cycle whose amplitude changes along
+    the travel, the strongest first, and whole fractions of one period are harmonics.
     """
+    cycles: list[list[Term]] = []
+    for term in sorted(terms, key=lambda one: -one.amplitude(0, 1).value):
+        first = next((cycle for cycle in cycles if _periods_apart(term, cycle[0]) <= MOST_BEATS), None)
+        cycles.append([term]) if first is None else first.append(term)
     parts: list[list[Term]] = []
-    for term in sorted(terms, key=lambda one: -period_mm(one).value):
-        mine = next((part for part in parts if _is_of(term, part[0])), None)
-        if mine is None:
-            parts.append([term])
-        else:
-            mine.append(term)
+    for cycle in sorted(cycles, key=lambda one: -period_mm(one[0]).value):
+        whole = next((part for part in parts if _is_harmonic(cycle[0], part[0])), None)
+        parts.append(cycle) if whole is None else whole.extend(cycle)
     return parts
 
 
-def _is_of(term: Term, first: Term) -> bool:
-    """Whether a term is a harmonic of another one, or a sideband of it."""
+def _periods_apart(one: Term, other: Term, order: int = 1) -> float:
+    """Periods over the travel that one term has more or fewer than a harmonic of another."""
+    travel = 2.0 * one.form.nonlinear[0].upper
+    return travel * abs(1.0 / period_mm(one).value - order / period_mm(other).value)
+
+
+def _is_harmonic(term: Term, first: Term) -> bool:
+    """Whether the period of a term is a whole fraction of another's, as far as travel and rows tell."""
     own, whole = period_mm(term), period_mm(first)
     order = round(whole.value / own.value)
     if not 1 <= order <= HIGHEST_ORDER:
         return False
-    resolved = 1.0 / (term.form.nonlinear[0].upper * 2.0)  # periods per mm that the travel tells apart
-    apart = abs(1.0 / own.value - order / whole.value)
-    unsure = COVERS * math.hypot(own.std / own.value**2, order * whole.std / whole.value**2)
-    return apart <= max(resolved, min(unsure, SAME_PERIOD / own.value))
+    travel = 2.0 * term.form.nonlinear[0].upper
+    unsure = travel * COVERS * math.hypot(own.std / own.value**2, order * whole.std / whole.value**2)
+    return _periods_apart(term, first, order) <= max(1.0, min(unsure, SAME_PERIOD * travel / own.value))
 
 
 def _wave(per_mm: float, sine: float, cosine: float) -> Wave:

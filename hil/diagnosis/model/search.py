@@ -165,29 +165,35 @@ class Search:
     def exchanged(self, parts: Sequence[Part]) -> tuple[Part, ...]:
         """The parts without those that are not worth it beside the others, and with likelier ones in the place of some."""
         current = tuple(parts)
-        for _ in range(3):
+        while True:
             others = (part for part in current if part not in self.kept)
             changed = next((one for part in others if (one := self._without_or_other(current, part)) is not None), None)
             if changed is None:
                 return current
             current = changed
-        return current
+
+    def _worth(self, parts: Sequence[Part], log_p: float | None = None) -> float:
+        """What a change of the parts must raise: log evidence, of which each part costs what it must be worth."""
+        return (self.scored(parts)[0].log_p if log_p is None else log_p) - USUAL.named * len(parts)
 
     def _without_or_other(self, parts: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
         others = tuple(one for one in parts if one is not part)
-        worth = self.scored(parts)[0].log_p
-        if worth - self.scored(others)[0].log_p < USUAL.named:
+        worth = self._worth(parts)
+        if self._worth(others) > worth:
             return others
         together = self._effects_instead(others, part, worth) if _is_flexible(part) else None
         if together is not None:
             return together
         for best in self.alternatives(others)[:2]:
-            if best.log_p > worth and not self.rests_on_few(others, best):
-                return (*others, best.part)
+            trial = (*others, best.part)
+            if self._worth(trial, best.log_p) <= worth or self.rests_on_few(others, best):
+                continue
+            if self._worth(trial) > worth:
+                return trial
         return None
 
     def _effects_instead(self, others: tuple[Part, ...], part: Part, worth: float) -> tuple[Part, ...] | None:
-        """Two effects in the place of a flexible part that holds both, where they are likelier than this.
+        """Two effects in the place of a flexible part that holds both, where they are worth more than this.
 
         Each may show beside it, or beside a course of time, and not alone. The next effect gains less than the last one: where that
         gained less than is missing, no two do.
@@ -195,11 +201,15 @@ class Search:
         current = others if part.is_remainder else (*others, part)
         for _ in range(3):
             best = next(iter(self.alternatives(current, remainder=False)), None)
-            if best is None or worth - best.log_p > best.log_p - self.scored(current)[0].log_p:
+            if best is None:
                 return None
-            current = (*current, best.part)
+            with_best = (*current, best.part)
+            now = self._worth(with_best, best.log_p)
+            if worth - now > now - self._worth(current):
+                return None
+            current = with_best
             for trial in (current, tuple(one for one in current if one in others or not _is_flexible(one))):
-                if part not in trial and self.scored(trial)[0].log_p > worth:
+                if part not in trial and self._worth(trial) > worth:
                     return trial
         return None
 

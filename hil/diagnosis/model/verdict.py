@@ -73,8 +73,8 @@ class Verdict:
         beside = self.search.catalogue.table.held(whole[:, None])[:, 0]
         if term.effect.static and not self.search.rows.is_declared and len(parts) > 1 and not term.effect.several:
             size = float(np.std(whole - beside))
-        first = self.terms[parts[0]].error_um(self.campaign.columns)
-        relative = _size_std(term, self.campaign) / max(float(np.std(first)), 1e-12)
+        std = self._rms_std(parts, whole) if more else _rms_std(term, self.campaign)
+        relative = std / max(float(np.std(whole)), 1e-12)
         peak = float(np.max(np.abs(whole - np.mean(whole))))
         return Finding(
             term,
@@ -161,14 +161,19 @@ class Verdict:
             size = float(np.std(course))
             if self._is_form(parts[0], size):
                 continue
-            at = np.concatenate([np.arange(len(self.fit.beta))[self.fit.where(part, "random")] for part in parts])
-            slope = np.hstack([part.random for part in parts]).T @ course / (len(course) * max(size, 1e-12))
-            std = float(np.sqrt(max(float(slope @ self.fit.covariance[np.ix_(at, at)] @ slope), 0.0)))
+            std = self._rms_std(parts, course)
             others = [one for one in self.parts if one not in parts]
             gain = self.search.scored(self.parts)[0].log_p - self.search.scored(others)[0].log_p
             names, probability = parts[0].names, float(np.exp(-max(gain, 0.0)))
             found.append(Carrier(names, Estimate(size, std), probability, self._equivalent(names)))
         return tuple(sorted(found, key=lambda one: -one.rms.value))
+
+    def _rms_std(self, parts: Sequence[Part], course: Floats) -> float:
+        """Standard uncertainty of the RMS of parts together, µm, their non-linear parameters as they are."""
+        every = np.arange(len(self.fit.beta))
+        at = np.concatenate([every[self.fit.where(part, kind)] for part in parts for kind in ("random", "free")])
+        columns = np.hstack([getattr(part, kind) for part in parts for kind in ("random", "free")])
+        return _std_of_rms(columns, course, self.fit.covariance[np.ix_(at, at)])
 
     def _is_form(self, part: Part, size_um: float) -> bool:
         """Whether a remainder is the error of the form of an effect in the same columns."""
@@ -197,15 +202,18 @@ def _rank_correlation(columns: Columns, one: str, other: str) -> float:
     return abs(float(np.corrcoef(ranks)[0, 1]))
 
 
-def _size_std(term: Term, campaign: CampaignRows) -> float:
+def _rms_std(term: Term, campaign: CampaignRows) -> float:
     """Standard uncertainty of the RMS of a term over the rows, µm."""
     basis = term.effect.basis(term.form, term.theta, campaign.columns)
-    centred = basis - np.mean(basis, axis=0)
-    course = centred @ np.array(term.coefficients)
+    covariance = np.array(term.covariance)[: basis.shape[1], : basis.shape[1]]
+    return _std_of_rms(basis, basis @ np.array(term.coefficients), covariance)
+
+
+def _std_of_rms(columns: Floats, course: Floats, covariance: Floats) -> float:
+    """Of a course about its mean, made of columns whose coefficients have a covariance, to first order."""
     size = max(float(np.std(course)), 1e-12)
-    gradient = centred.T @ course / (len(course) * size)
-    covariance = np.array(term.covariance)[: len(gradient), : len(gradient)]
-    return float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
+    slope = (columns - np.mean(columns, axis=0)).T @ (course - np.mean(course)) / (len(course) * size)
+    return float(np.sqrt(max(float(slope @ covariance @ slope), 0.0)))
 
 
 def _is_vague(term: Term, rms_um: float, campaign: CampaignRows) -> bool:

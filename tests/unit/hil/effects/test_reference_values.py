@@ -985,7 +985,9 @@ def test_of_an_amplitude_far_within_its_uncertainty_only_the_most_is_stated(std_
     [
         ((20.0, 10.0, 6.67), [[20.0, 10.0, 6.67]]),
         ((6.67, 20.0, 13.0), [[20.0, 6.67], [13.0]]),
-        ((10.0, 10.05, 7.1), [[10.05, 10.0], [7.1]]),  # 400 mm do not tell the first two apart
+        ((10.0, 10.05, 7.1), [[10.0, 10.05], [7.1]]),  # 400 mm do not tell the first two apart
+        ((10.0, 9.73, 10.27, 5.0), [[10.0, 9.73, 10.27, 5.0]]),  # an amplitude with one wave over 370 mm
+        ((10.0, 9.4, 10.6), [[10.6], [10.0], [9.4]]),
     ],
 )
 def test_harmonics_and_sidebands_are_of_one_part(periods: tuple[float, ...], parts: list[list[float]]) -> None:
