@@ -213,8 +213,8 @@ class Case:
     def _suspected(self) -> InForce:
         """Where nothing was found: the likeliest effect of the machine that helps runs left out, times its posterior."""
         nothing = self._nothing()
-        none = self.search.scored(())[0].log_p
-        for one in self.search.alternatives(()):
+        none = self.search.log_p(())
+        for one in self.search.alternatives((), remainder=False):
             if one.log_p <= none:
                 break
             if one.part.of is None or one.part.of.effect.static or one.part.of.effect.once:
@@ -241,17 +241,14 @@ class Case:
         force = self.in_force
         carriers = self.verdict.carriers
         whole = Force(self.found, self.verdict.terms)
-        everything = whole.model()
-        fit = self.found
         clean = self.rows.error_um - sum((t.error_um(self.rows.columns) for t in self.verdict.terms.values()), 0.0)
         after, alone = Figures.of(force.after_um), Figures.of(self.rows.error_um)
         base = self.declared if self.declared is not None else self.null.model()
-        extended = force.force.model() if force.force.fit.parts or self.declared is not None else base
-        found = Diagnosis(
+        diagnosis = Diagnosis(
             pure_error=pure_error(self.rows.columns, clean),
-            noise=_noise_parts(fit.sigma, fit.noise),
+            noise=_noise_parts(self.found.sigma, self.found.noise),
             declared=base,
-            extended=extended,
+            extended=force.force.model(),
             findings=self.findings,
             unexplained=bool(carriers),
             carriers=carriers,
@@ -259,12 +256,12 @@ class Case:
             before_um=self.before_um,
             after_um=force.after_um,
             setup_um=whole.left_out_um(self.rows, self.folds),
-            residual_um=self.rows.error_um - everything.error_um(self.rows.columns),
+            residual_um=self.rows.error_um - whole.model().error_um(self.rows.columns),
             held_out=self.folds.how,
             recommended=after.rms_um < alone.rms_um,
             notes=(*self._notes(after, alone), *force.notes),
         )
-        return Offer(self.search, force.force, self.rows, self.folds).beside(found)
+        return Offer(self.search, force.force, self.rows, self.folds).beside(diagnosis)
 
     def _blind(self) -> Iterator[Blind]:
         beside = self.search.catalogue.beside
@@ -306,5 +303,4 @@ def _times(term: Term, share: float) -> Term:
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:
     memory = noise.memory
     rows = -1.0 / math.log(memory.rho) if 0.0 < memory.rho < 1.0 and memory.ar else 0.0
-    offset = math.exp(float(noise.log_sd[2]))
-    return NoiseParts(white_um, white_um * memory.ar, rows, white_um * offset)
+    return NoiseParts(white_um, white_um * memory.ar, rows, white_um * noise.offset)

@@ -48,14 +48,18 @@ class Noise:
     log_sd: Floats
 
     @property
+    def offset(self) -> float:
+        """Standard deviation of the runs' offsets, in white noise."""
+        return math.exp(float(self.log_sd[OFFSET]))
+
+    @property
     def log_prior(self) -> float:
-        offset = math.exp(float(self.log_sd[OFFSET])) / USUAL.correlated
-        return -0.5 * (self.memory.ar / USUAL.correlated) ** 2 - math.log1p(offset**2)
+        return -0.5 * (self.memory.ar / USUAL.correlated) ** 2 - math.log1p((self.offset / USUAL.correlated) ** 2)
 
     @property
     def has_large_offsets(self) -> bool:
         """Whether the runs' offsets are beyond the scale of their prior: a cause may be all of them."""
-        return math.exp(float(self.log_sd[OFFSET])) > USUAL.correlated
+        return self.offset > USUAL.correlated
 
     def with_usual_offsets(self) -> Noise:
         """The same with offsets of the scale of their prior."""

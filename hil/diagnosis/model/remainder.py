@@ -43,6 +43,8 @@ TOGETHER = 32
 """Blocks that are looked at together."""
 WIDEST = 40
 """Columns of a block, at most."""
+KEPT = 2
+"""Likeliest remainders that are followed."""
 THIN = 3e-3
 """Variance along an axis of a block, over its largest, below which it is left out."""
 LONGEST_CYCLE = 12
@@ -114,9 +116,10 @@ class Remainder:
         self.d = campaign.d if survey.has("direction") else None
         self._sign = campaign.d.astype(np.float32)
         self.time = time_column(campaign.columns)
-        usable = [name for name in sorted(survey.varying) if name not in NO_CAUSE or name == self.time]
-        far = {name for name in usable if name == "stroke_mm" and np.any(campaign.columns[name] >= LONG_STROKE_MM)}
-        self.axes = {name: Axis(name, campaign.columns[name]) for name in usable if name not in far}
+        usable = {name for name in survey.varying if name not in NO_CAUSE or name == self.time}
+        if "stroke_mm" in usable and np.any(campaign.columns["stroke_mm"] >= LONG_STROKE_MM):
+            usable.remove("stroke_mm")
+        self.axes = {name: Axis(name, campaign.columns[name]) for name in sorted(usable)}
 
     def _signed(self, names: tuple[str, ...], rows: Singles) -> Iterator[Block]:
         """A function alike in both directions, and one with the sign of the direction."""
@@ -171,7 +174,7 @@ class Remainder:
         blocks = sorted(self._blocks(), key=lambda one: len(one.alike))
         return [tuple(blocks[i : i + TOGETHER]) for i in range(0, len(blocks), TOGETHER)]
 
-    def best(self, fit: Fit, kept: int) -> list[Part]:
+    def best(self, fit: Fit) -> list[Part]:
         """The likeliest remainders beside a fit, as parts."""
         price = math.log(2.0 * sum(map(len, self._batches)))
         found: list[tuple[float, Block]] = []
@@ -182,7 +185,7 @@ class Remainder:
             gains = fit.random_gains(wide.reshape(-1, len(self.campaign)), wide.shape[1], batch) - price
             found += zip(gains.tolist(), batch, strict=True)
         found.sort(key=lambda one: -one[0])
-        return [_part(block, fit, price) for _, block in found[:kept]]
+        return [_part(block, fit, price) for _, block in found[:KEPT]]
 
 
 def _part(block: Block, fit: Fit, price: float) -> Part:

@@ -14,7 +14,6 @@ from hil.diagnosis.model.evidence import Fit, Noise, Part, Scored, score
 from hil.diagnosis.model.intervals import as_term
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import Rows
-from hil.effects import Effect
 
 MOST_PARTS = 6
 NEAR = 8.0
@@ -51,6 +50,10 @@ class Search:
             self._scored[key] = score(self.rows, parts)
         return self._scored[key]
 
+    def log_p(self, parts: Sequence[Part]) -> float:
+        """Log evidence of the parts, under their likeliest noise model."""
+        return self.scored(parts)[0].log_p
+
     def fit(self, parts: Sequence[Part]) -> Fit:
         """Under their likeliest noise model."""
         return Fit(self.rows, parts, self.scored(parts)[0].noise)
@@ -75,7 +78,7 @@ class Search:
     def _remainders(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The two likeliest."""
         fit = self.fit(parts)
-        return [(part, fit.noise) for part in self.catalogue.remainder.best(fit, kept=2)]
+        return [(part, fit.noise) for part in self.catalogue.remainder.best(fit)]
 
     def _effects(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The effects that come near the best, each in its likeliest forms."""
@@ -93,7 +96,7 @@ class Search:
 
     def with_part(self, parts: Sequence[Part], part: Part, near: Noise) -> Alternative:
         """The evidence with a further part: less likely as a second term of an effect, and with physics out of its range."""
-        if any(one.name == part.name and not one.is_remainder for one in parts) and not part.is_remainder:
+        if not part.is_remainder and any(one.name == part.name for one in parts):
             part = replace(part, log_prior=part.log_prior - USUAL.richer)
         found = score(self.rows, [*parts, part], near)[0]
         against = self._against(parts, part, found.noise)
@@ -114,8 +117,6 @@ class Search:
             np.std(self.rows.campaign.error_um)
         ):
             return math.inf
-        if type(one.effect).implausible is Effect.implausible:
-            return 0.0
         at = fit.where(part, "free")
         term = as_term(one, fit.beta[at], np.pad(fit.covariance[at, at], (0, len(one.theta))))
         return 2.0 * USUAL.richer if one.effect.implausible(term) else 0.0
@@ -151,7 +152,7 @@ class Search:
         """The parts that are found from some on, until nothing is worth adding."""
         current = self.exchanged(parts)
         for _ in range(MOST_PARTS):
-            worth = self.scored(current)[0].log_p + USUAL.named
+            worth = self.log_p(current) + USUAL.named
             trials = self.alternatives(current, remainder=False)
             if not any(one.log_p >= worth for one in trials):
                 trials = self.alternatives(current)
@@ -163,55 +164,64 @@ class Search:
         return self.fit(current)
 
     def exchanged(self, parts: Sequence[Part]) -> tuple[Part, ...]:
-        """The parts without those that are not worth it beside the others, and with likelier ones in the place of some."""
-        current = tuple(parts)
+        """The parts without those that are not worth it beside the others, and with others in the place of some, until no such change
+        is worth it.
+        """
+        current = self._needed(tuple(parts))
         while True:
-            others = (part for part in current if part not in self.kept)
-            changed = next((one for part in others if (one := self._without_or_other(current, part)) is not None), None)
+            changes = (self._other(current, part) for part in current if part not in self.kept)
+            changed = next((one for one in changes if one is not None), None)
             if changed is None:
                 return current
-            current = changed
+            current = self._needed(changed)
 
-    def _worth(self, parts: Sequence[Part], log_p: float | None = None) -> float:
+    def _worth(self, parts: Sequence[Part]) -> float:
         """What a change of the parts must raise: log evidence, of which each part costs what it must be worth."""
-        return (self.scored(parts)[0].log_p if log_p is None else log_p) - USUAL.named * len(parts)
+        return self.log_p(parts) - USUAL.named * len(parts)
 
-    def _without_or_other(self, parts: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
-        others = tuple(one for one in parts if one is not part)
-        worth = self._worth(parts)
-        if self._worth(others) > worth:
-            return others
-        together = self._effects_instead(others, part, worth) if _is_flexible(part) else None
+    def _needed(self, parts: tuple[Part, ...]) -> tuple[Part, ...]:
+        """The parts without those that are not worth it beside the others."""
+        for part in parts:
+            others = _without(parts, part)
+            if part not in self.kept and self._worth(others) > self._worth(parts):
+                return self._needed(others)
+        return parts
+
+    def _other(self, parts: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
+        """The parts with others in the place of one, where that is worth more."""
+        others = _without(parts, part)
+        together = self._effects_instead(others, part) if _is_flexible(part) else None
         if together is not None:
             return together
         for best in self.alternatives(others)[:2]:
-            trial = (*others, best.part)
-            if self._worth(trial, best.log_p) <= worth or self.rests_on_few(others, best):
-                continue
-            if self._worth(trial) > worth:
-                return trial
+            if best.log_p > self.log_p(parts) and not self.rests_on_few(others, best):
+                trial = (*others, best.part)
+                return trial if self.log_p(trial) > self.log_p(parts) else None
         return None
 
-    def _effects_instead(self, others: tuple[Part, ...], part: Part, worth: float) -> tuple[Part, ...] | None:
-        """Two effects in the place of a flexible part that holds both, where they are worth more than this.
+    def _effects_instead(self, others: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
+        """Effects in the place of a flexible part that holds several, where they are worth more than this.
 
         Each may show beside it, or beside a course of time, and not alone. The next effect gains less than the last one: where that
         gained less than is missing, no two do.
         """
-        current = others if part.is_remainder else (*others, part)
+        parts = (*others, part)
+        current = others if part.is_remainder else parts
         for _ in range(3):
             best = next(iter(self.alternatives(current, remainder=False)), None)
-            if best is None:
+            if best is None or self.log_p(parts) - best.log_p > best.log_p - self.log_p(current):
                 return None
-            with_best = (*current, best.part)
-            now = self._worth(with_best, best.log_p)
-            if worth - now > now - self._worth(current):
-                return None
-            current = with_best
+            current = (*current, best.part)
             for trial in (current, tuple(one for one in current if one in others or not _is_flexible(one))):
-                if part not in trial and self._worth(trial) > worth:
-                    return trial
+                if part not in trial and self.log_p(trial) > self.log_p(parts):
+                    needed = self._needed(trial)
+                    if self._worth(needed) > self._worth(parts):
+                        return needed
         return None
+
+
+def _without(parts: tuple[Part, ...], part: Part) -> tuple[Part, ...]:
+    return tuple(one for one in parts if one is not part)
 
 
 def _nearest(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:

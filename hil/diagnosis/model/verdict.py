@@ -51,6 +51,10 @@ class Verdict:
         """What an effect contributes to each row, µm, (n,)."""
         return np.asarray(sum(self.terms[part].error_um(self.campaign.columns) for part in self.groups[name]))
 
+    def _beside_table(self, course: Floats) -> Floats:
+        """What a table does not hold of it, (n,)."""
+        return np.asarray(course - self.search.catalogue.table.held(course[:, None])[:, 0])
+
     def findings(self) -> tuple[Finding, ...]:
         """The findings, largest first. Beside a remainder a name is as sure as its share of the power."""
         bare = [self._finding(name) for name in self.groups]
@@ -70,9 +74,8 @@ class Verdict:
         term, *more = (self.terms[part] for part in parts)
         whole = self.course_um(name)
         size = float(np.std(whole))
-        beside = self.search.catalogue.table.held(whole[:, None])[:, 0]
-        if term.effect.static and not self.search.rows.is_declared and len(parts) > 1 and not term.effect.several:
-            size = float(np.std(whole - beside))
+        if term.effect.static and not self.search.rows.is_declared and more and not term.effect.several:
+            size = float(np.std(self._beside_table(whole)))
         std = self._rms_std(parts, whole) if more else _rms_std(term, self.campaign)
         relative = std / max(float(np.std(whole)), 1e-12)
         peak = float(np.max(np.abs(whole - np.mean(whole))))
@@ -92,22 +95,19 @@ class Verdict:
     def _odds(self, part: Part) -> dict[str, float]:
         """Log evidence of each explanation in the place of a part, by effect."""
         others = [one for one in self.parts if one is not part]
-        odds = {part.name: self.search.scored(self.parts)[0].log_p}
-        for one in self.search.alternatives(others):
-            odds[one.part.name] = max(odds.get(one.part.name, -1e300), one.log_p)
-        for name, log_p in unlogged(self.search.fit(others), self.recorded):
-            odds[name] = max(odds.get(name, -1e300), log_p)
-        return odds
+        found = [(part.name, self.search.log_p(self.parts))]
+        found += [(one.part.name, one.log_p) for one in self.search.alternatives(others)]
+        found += unlogged(self.search.fit(others), self.recorded)
+        return dict(sorted(found, key=lambda one: one[1]))
 
     def _weights(self, finding: Finding, alike: Sequence[str]) -> dict[str, float]:
         """Posterior of each explanation; alike: rivals that make the same rows through a column that was not recorded."""
         odds = self._odds(self.groups[finding.effect][0])
-        other = (*alike, *finding.term.effect.stands_for(finding.term.form))
-        for name in other:
-            odds[name] = max(odds.get(name, -1e300), odds[finding.effect] - UNKNOWN)
+        doubts = [*alike, *finding.term.effect.stands_for(finding.term.form)]
         if finding.is_implausible or self._switched(finding):
-            odds[OUTSIDE] = max(odds.get(OUTSIDE, -1e300), odds[finding.effect] - UNKNOWN)
-        return share_of(odds)
+            doubts.append(OUTSIDE)
+        least = odds[finding.effect] - UNKNOWN
+        return share_of(odds | {name: max(odds.get(name, least), least) for name in doubts})
 
     def _switched(self, finding: Finding) -> str:
         """The recorded column that passes a level where the reading jumps, and nowhere else: a relay of it makes the same rows."""
@@ -135,17 +135,14 @@ class Verdict:
     def _follows(self, part: Part, term: Term) -> tuple[tuple[Term, float], ...]:
         """The effect by each column that it may follow, with its share among them; none where no other has any."""
         others = [one for one in self.parts if one is not part]
-        odds = {part.names[:1]: self.search.scored(self.parts)[0].log_p}
-        terms = {part.names[:1]: term}
+        odds, terms = {_carrier(part): self.search.log_p(self.parts)}, {_carrier(part): term}
         for one in self.search.alternatives(others):
-            key = one.part.names[:1]
-            if one.part.name == part.name and key not in odds:
-                odds[key] = one.log_p
-                fit = Fit(self.search.rows, [*others, one.part], one.noise)
-                terms[key] = terms_of(fit)[one.part]
-        shares = share_of({"".join(key): value for key, value in odds.items()})
-        found = [(terms[key], shares["".join(key)]) for key in odds if shares["".join(key)] > LEAST]
-        return tuple(sorted(found, key=lambda one: -one[1])) if len(found) > 1 else ()
+            name = _carrier(one.part)
+            if one.part.name == part.name and name not in odds:
+                odds[name] = one.log_p
+                terms[name] = terms_of(Fit(self.search.rows, [*others, one.part], one.noise))[one.part]
+        found = [(terms[name], share) for name, share in share_of(odds).items() if share > LEAST]
+        return tuple(found) if len(found) > 1 else ()
 
     @cached_property
     def carriers(self) -> tuple[Carrier, ...]:
@@ -156,14 +153,13 @@ class Verdict:
                 left.setdefault(frozenset(part.names), []).append(part)
         found = []
         for parts in left.values():
-            course = np.sum([self.fit.course_um(part) for part in parts], axis=0)
-            course = course - self.search.catalogue.table.held(course[:, None])[:, 0]
+            course = self._beside_table(np.sum([self.fit.course_um(part) for part in parts], axis=0))
             size = float(np.std(course))
             if self._is_form(parts[0], size):
                 continue
             std = self._rms_std(parts, course)
             others = [one for one in self.parts if one not in parts]
-            gain = self.search.scored(self.parts)[0].log_p - self.search.scored(others)[0].log_p
+            gain = self.search.log_p(self.parts) - self.search.log_p(others)
             names, probability = parts[0].names, float(np.exp(-max(gain, 0.0)))
             found.append(Carrier(names, Estimate(size, std), probability, self._equivalent(names)))
         return tuple(sorted(found, key=lambda one: -one.rms.value))
@@ -193,6 +189,11 @@ class Verdict:
             if name in may_carry
         }
         return {name: alike for name, alike in found.items() if alike}
+
+
+def _carrier(part: Part) -> str:
+    """The column that a part follows first; empty where none."""
+    return "".join(part.names[:1])
 
 
 def _rank_correlation(columns: Columns, one: str, other: str) -> float:
