@@ -20,6 +20,7 @@ from hil.records.rows import UM_PER_MM, Records, refuse_other_units
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+Singles = NDArray[np.float32]
 
 
 OF_A_MODEL = frozenset({"correction_um", "residual_um"})

@@ -10,13 +10,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hil.diagnosis.campaign import Floats, Ints
 from hil.effects import Estimate
 from hil.effects.history import time_column
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SAME_TARGET_MM, SAME_PART = 1e-3, 1e-4
 """Targets nearer than this, and than that part of the travel, are one: no error of a machine changes by more than its noise over a

@@ -13,16 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.campaign import CampaignRows, Floats, Singles
 from hil.diagnosis.model.evidence import Candidate, Fit, Part, score
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Rows
 from hil.diagnosis.table import SplineShape
 from hil.effects import Effect, Form
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
 
 SAME = 0.02
 """Singular value, over the largest, below which two tables have absorbed the same."""

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
-from hil.diagnosis.campaign import AllRows, CampaignRows
+from hil.diagnosis.campaign import AllRows, CampaignRows, Floats
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Fit, Noise, Part, score
 from hil.diagnosis.model.force import Folds, Force, compensated, improves
@@ -31,8 +30,6 @@ from hil.effects.history import stand_ins
 from hil.effects.model import Model
 from hil.effects.warming import as_far_as_seen, follows_a_temperature, is_bounded
 from hil.records.rows import UM_PER_MM, Records
-
-Floats = NDArray[np.float64]
 
 SATURATED = "the table takes every degree of freedom of these rows, so nothing can be left beside it: measure each target once more"
 LEAST_DOF = 4
@@ -224,12 +221,11 @@ class Case:
             if not live:
                 continue
             share = share_of({"": none, one.part.name: one.log_p})[one.part.name]
-            small = {key: _times(term, share) for key, term in live.items()}
-            force = Force(fit, small, share)
+            force = Force(fit, live, share)
             after = force.left_out_um(self.rows, self.folds)
             if not improves(nothing.after_um, after, self.folds.of_all) or not self._gains(after):
                 return nothing
-            (term,) = small.values()
+            (term,) = force.model().terms[-1:]
             note = (
                 f"{one.part.name} is suspected (posterior {share:.2f}): noise may make as much, so it is no finding; the extended"
                 f" model holds that share of it. {term.effect.explain(term)}"
@@ -294,10 +290,6 @@ class Case:
                 f"not recommended: on rows that were not fitted the correction leaves {after.rms_um:.3g} µm RMS,"
                 f" and no correction at all {alone.rms_um:.3g} µm"
             )
-
-
-def _times(term: Term, share: float) -> Term:
-    return replace(term, coefficients=tuple(share * value for value in term.coefficients), likely=())
 
 
 def _noise_parts(white_um: float, noise: Noise) -> NoiseParts:

@@ -17,16 +17,12 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hil.diagnosis.campaign import Floats, Ints, Singles
 from hil.diagnosis.model.numeric import highest, inverse_of_lower
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rows import MEMORIES, NO_MEMORY, OFFSET, Memory, Rows, side_by_side
+from hil.diagnosis.model.rows import MEMORIES, NO_MEMORY, OFFSET, Memory, Rows
 from hil.effects import Effect, Form
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
 
 LOWEST = np.array([-7.0, -7.0, -5.0])
 HIGHEST = np.array([7.0, 7.0, 7.0])
@@ -125,7 +121,8 @@ class Profile:
 
     def __init__(self, rows: Rows, parts: Sequence[Part], memory: Memory) -> None:
         self.rows, self.memory, base = rows, memory, rows.whitened(memory)
-        random, *others = (side_by_side([getattr(p, kind) for p in parts], rows.n) for kind in KINDS)
+        none = np.zeros((rows.n, 0))
+        random, *others = (np.hstack([none, *(getattr(part, kind) for part in parts)]) for kind in KINDS)
         self.columns = np.hstack([random, *others])
         own = rows.white(self.columns, memory)
         self.white, self.y, self._log_noise = np.hstack([base.columns, own]), base.y, base.log_noise
@@ -216,7 +213,7 @@ class Fit:
 
     def __init__(self, rows: Rows, parts: Sequence[Part], noise: Noise) -> None:
         self.rows, self.parts, self.noise = rows, tuple(parts), noise
-        profile = Profile(rows, parts, noise.memory)
+        self._profile = profile = Profile(rows, parts, noise.memory)
         self._base = profile.white.shape[1] - profile.columns.shape[1]
         self._columns, self.white, self.y = profile.columns, profile.white, profile.y
         self.ridge = profile.ridge(noise.log_sd)
@@ -230,7 +227,7 @@ class Fit:
     @cached_property
     def log_p(self) -> float:
         """Log evidence, priors of the parts included."""
-        return Profile(self.rows, self.parts, self.noise.memory).value(self.noise.log_sd)[0] + _prior(self.parts)
+        return self._profile.value(self.noise.log_sd)[0] + _prior(self.parts)
 
     @property
     def sigma(self) -> float:
@@ -263,6 +260,12 @@ class Fit:
         right = white.columns.T @ self.rows.white(course_um, self.noise.memory)
         solved = np.linalg.solve(white.gram + np.diag(self.ridge[: self._base] + 1e-9), right)
         return np.asarray(solved[self.of_table()])
+
+    def coefficients(self, part: Part) -> Floats:
+        """Of an effect's own columns, µm in the units of its basis."""
+        if part.of is not None and part.of.form.shrunk:
+            return self.beta[self.where(part, "random")] * math.sqrt(part.of.ratio)
+        return self.beta[self.where(part, "free")]
 
     def where(self, part: Part, kind: str) -> slice:
         """Coefficients of one part's columns of a kind."""

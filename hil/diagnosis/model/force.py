@@ -8,20 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import AllRows
+from hil.diagnosis.campaign import AllRows, Floats, Ints
 from hil.diagnosis.model.candidates import Table
 from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.model.rows import KNOWN
 from hil.effects import Action, Term
 from hil.effects.model import Model, PitchTable
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
 MOST_FOLDS = 8
 """Groups of runs that are left out in turn."""
-LEFT_OUT = 1e4
-"""Noise of the rows left out, over their own."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +42,7 @@ class Folds:
 
 @dataclass(frozen=True)
 class Force:
-    """A fit, and by its part each term of it that is in force, with this share of its coefficients."""
+    """A fit, and by its part each term of it of which this share is in force."""
 
     fit: Fit
     live: Mapping[Part, Term]
@@ -76,18 +71,14 @@ class Force:
         table = _with_held(rows.shape.tabulate(coefficients, covariance), fit)
         about: dict[str, str | int | float] = {"rows": rows.n, "runs": rows.campaign.runs, "white_noise_um": fit.sigma}
         known = () if rows.given is None else rows.given.moved(fit.beta[: len(rows.group)][rows.group == KNOWN])
-        return Model(table, (*known, *live.values()), about)
+        return Model(table, (*known, *(_times(term, self.share) for term in live.values())), about)
 
     def without(self, out: NDArray[np.bool_]) -> Model:
         """The model fitted without some of the rows, its forms and non-linear parameters as they are."""
-        scale = self.fit.rows.scale * np.where(out, LEFT_OUT, 1.0)
-        fit = Fit(self.fit.rows.with_scale(scale), self.fit.parts, self.fit.noise)
-        live = {}
-        for part in self.fit.parts:
-            if part in self.live and part.of is not None:
-                kind, factor = ("random", part.of.ratio**0.5) if part.of.form.shrunk else ("free", 1.0)
-                beta = fit.beta[fit.where(part, kind)] * factor * self.share
-                live[part] = replace(self.live[part], coefficients=tuple(beta.tolist()))
+        fit = Fit(self.fit.rows.without(out), self.fit.parts, self.fit.noise)
+        live = {
+            part: replace(term, coefficients=tuple(fit.coefficients(part).tolist())) for part, term in self.live.items()
+        }
         return self._model(fit, live, uncertain=False)
 
     def left_out_um(self, rows: AllRows, folds: Folds) -> Floats:
@@ -98,6 +89,12 @@ class Force:
             model = self.without(folds.of_kept == index)
             left[here] = (rows.error_um - model.error_um(rows.columns))[here]
         return left
+
+
+def _times(term: Term, share: float) -> Term:
+    if share == 1.0:
+        return term
+    return replace(term, coefficients=tuple(share * value for value in term.coefficients), likely=())
 
 
 def _with_held(table: PitchTable, fit: Fit) -> PitchTable:

@@ -15,11 +15,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hil.diagnosis.campaign import Floats
 from hil.diagnosis.model.evidence import Candidate, Fit, Part
 from hil.effects import Term
 from hil.effects.base import COVERS, Likely, slopes_of
-
-Floats = NDArray[np.float64]
 
 DROP = COVERS**2
 """Twice the drop of the log likelihood at the end of an interval."""
@@ -40,10 +39,10 @@ def terms_of(fit: Fit) -> dict[Part, Term]:
 def _term(fit: Fit, part: Part) -> Term:
     one = part.of
     assert one is not None
+    beta = fit.coefficients(part)
     if one.form.shrunk:
-        at, scale = fit.where(part, "random"), math.sqrt(one.ratio)
-        return as_term(one, fit.beta[at] * scale, fit.covariance[at, at] * one.ratio)
-    beta = fit.beta[fit.where(part, "free")]
+        at = fit.where(part, "random")
+        return as_term(one, beta, fit.covariance[at, at] * one.ratio)
     term = as_term(one, beta, np.zeros((len(beta) + len(one.theta),) * 2))
     beside = Fit(fit.rows, [_with_slopes(fit, other) for other in fit.parts if other is not part], fit.noise)
     normal, _ = beside.normal(np.hstack([part.free, slopes_of(fit.rows.campaign.columns, one, beta)]))
@@ -59,7 +58,7 @@ def _with_slopes(fit: Fit, part: Part) -> Part:
     """Another part with its non-linear parameters free too."""
     if part.of is None or not part.of.theta or part.of.form.exhaustive or part.of.form.shrunk:
         return part
-    slopes = slopes_of(fit.rows.campaign.columns, part.of, fit.beta[fit.where(part, "free")])
+    slopes = slopes_of(fit.rows.campaign.columns, part.of, fit.coefficients(part))
     return replace(part, free=part.free[:, :0], fixed=np.hstack([part.fixed, part.free, slopes]))
 
 

@@ -6,9 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
-
 from hil.diagnosis.campaign import AllRows
 from hil.diagnosis.model.evidence import Candidate, Part
 from hil.diagnosis.model.force import Folds, Force, improves
@@ -18,8 +15,6 @@ from hil.diagnosis.result import Diagnosis, Figures
 from hil.effects import Term
 from hil.effects.non_parametric import CAUSE_UNKNOWN, NonParametric, smooth_form, spread_of
 from hil.effects.survey import READ_AFTER_MOTION
-
-Floats = NDArray[np.float64]
 
 OPTION = "--non-parametric"
 AFTERWARDS = frozenset({"run", "row_order", "measured_mm", *READ_AFTER_MOTION})

@@ -13,16 +13,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.campaign import CampaignRows, Floats, Ints, Singles
 from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.result import OUTSIDE
 from hil.effects.history import BRANCH, LONG_STROKE_MM, time_column
-
-Floats = NDArray[np.float64]
-Singles = NDArray[np.float32]
-Ints = NDArray[np.int64]
 
 NO_CAUSE = frozenset(
     {"run", "measured_mm", "command_mm", "direction", "row_order", "correction_um", "residual_um", *BRANCH}

@@ -9,16 +9,14 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from hil.diagnosis.campaign import Floats
 from hil.diagnosis.result import OUTSIDE, Finding
 from hil.effects import Columns, Effect
 from hil.effects.base import UM_PER_MM_PPM
 from hil.effects.load_deflection import is_tilt
 from hil.effects.survey import OTHER_AXIS
 from hil.effects.thermometers import AIR_TEMPERATURE, TEMPERATURE, is_temperature
-
-Floats = NDArray[np.float64]
 
 PRESSURE = "air_pressure_hpa"
 WAY_SINCE = "since_reversal_mm"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,22 +13,21 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.campaign import CampaignRows, Floats, Ints, Singles
 from hil.diagnosis.model.numeric import inverse_of_lower
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
 from hil.effects import Term
 from hil.effects.model import Model
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Singles = NDArray[np.float32]
 Real = TypeVar("Real", np.float32, np.float64)
 
 LONGEST = 125
 """Rows of a run over which its memory is followed; of longer runs each such stretch has its own."""
 SLOWEST_SCALE = 4.0
 """Multiples of the usual residual at which one row counts for the scale of its group."""
+LEFT_OUT = 1e4
+"""Noise of rows that are left out, over their own."""
 MOST_BYTES = 4_000_000
 """Bytes of columns that are whitened together."""
 EVEN, ODD, OFFSET, GIVEN, KNOWN = 0, 1, 2, 3, 4
@@ -135,6 +134,10 @@ class Rows:
         other._white, other._reduced = {}, {}
         return other
 
+    def without(self, out: NDArray[np.bool_]) -> Rows:
+        """The same rows, of which those left out count for nothing."""
+        return self.with_scale(self.scale * np.where(out, LEFT_OUT, 1.0))
+
     @cached_property
     def stretches(self) -> list[slice]:
         """Rows of each run, of long ones in stretches."""
@@ -234,8 +237,3 @@ def _speed_class(campaign: CampaignRows) -> Ints:
     if len(np.unique(speed)) <= 8:
         return np.unique(speed, return_inverse=True)[1].astype(np.int64)
     return np.searchsorted(np.quantile(speed, [0.25, 0.5, 0.75]), speed).astype(np.int64)
-
-
-def side_by_side(columns: Sequence[Floats], rows: int) -> Floats:
-    """Columns of several parts, (n, sum); none of none."""
-    return np.hstack([np.zeros((rows, 0)), *columns])

@@ -142,8 +142,7 @@ class Search:
         return self._is_nothing_without(most, parts, one)
 
     def _is_nothing_without(self, out: NDArray[np.bool_], parts: Sequence[Part], one: Alternative) -> bool:
-        scale = self.rows.scale * np.where(out, 1e3, 1.0)
-        beside = Fit(self.rows.with_scale(scale), parts, one.noise)
+        beside = Fit(self.rows.without(out), parts, one.noise)
         part = one.part
         gain = beside.random_gain(part.random)[0] if part.is_remainder else beside.gain(part.free)
         return gain + part.log_prior <= 0.0

@@ -11,15 +11,12 @@ from functools import cache
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.campaign import CampaignRows, Floats
 from hil.diagnosis.model.evidence import Fit
 from hil.diagnosis.model.policy import USUAL
 from hil.effects.history import time_column
 from hil.effects.survey import OTHER_AXIS
-
-Floats = NDArray[np.float64]
 
 WAVES = np.arange(1.0, 9.0)
 """Half periods over the campaign of a course that drifts."""

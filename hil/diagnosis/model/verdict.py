@@ -7,9 +7,8 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import CampaignRows
+from hil.diagnosis.campaign import CampaignRows, Floats
 from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.policy import USUAL
@@ -19,8 +18,6 @@ from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import UNKNOWN, columns_of, share_of, unlogged
 from hil.diagnosis.result import OUTSIDE, Carrier, Finding, RivalFound
 from hil.effects import Columns, Estimate, Term
-
-Floats = NDArray[np.float64]
 
 LEAST = 0.02
 """Confidence below which a rival is not named."""
