@@ -154,7 +154,7 @@ class Form:
     scan: part of the first search; the others only refine an effect already found
     exhaustive: the grid holds every parameter value that makes a difference
     shrunk: many coefficients with a common normal prior (ridge) instead of free ones
-    log_odds: prior log odds against the other forms; that its parameters are free is paid by the grid
+    log_odds: prior log odds, relative to the other forms; that its parameters are free is paid by the grid
     """
 
     effect: str
@@ -197,7 +197,7 @@ class Effect(ABC):
     once: ClassVar[bool] = False
     """Happens once, as a jump does, or wanders at random: no run predicts it in another, so runs left out are not asked about it."""
     log_odds: ClassVar[float] = 0.0
-    """Prior log odds against the other effects; they decide where the records cannot."""
+    """Prior log odds, relative to the other effects; they decide where the records cannot."""
 
     @abstractmethod
     def forms(self, survey: Survey) -> tuple[Form, ...]:
