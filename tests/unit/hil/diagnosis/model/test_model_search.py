@@ -1,4 +1,4 @@
-"""The search's objective: log evidence less what each part must be worth. It rises with every change, and ends where none raises it."""
+"""The objective of the search, log evidence less what each part must be worth: it rises with every change, and ends where none."""
 
 from __future__ import annotations
 
