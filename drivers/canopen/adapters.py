@@ -101,7 +101,7 @@ def bound_sending(bus: can.BusABC) -> None:
     """
     port = getattr(bus, "serialPortOrig", None)  # of slcan
     if isinstance(port, serial.Serial) and sys.platform != "win32":
-        port.write = lambda data: write_within(port, data, port.write_timeout)
+        port.write = lambda data: write_within(port, bytes(data), port.write_timeout)  # type: ignore[method-assign]
     try:
         number = os.dup(bus.fileno())
     except (OSError, NotImplementedError, ValueError):
