@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import os
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from drivers.errors import InputError
-from hil.machine.events import Listener
 from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import BoreCentre, Correction, HandledCode, RunOutMeasurement, on_schedule, ways
@@ -146,11 +146,11 @@ def run_measure(args: argparse.Namespace) -> int:
         print_measure_plan(config, args.mode or config.probe.mode)
         return 0
     store = _open_store(args, config, writing=True)
-    with probe.at_machine(config, store, in_bore=False) as place, terminal_progress() as listener:
-
-        def once() -> str | None:
-            return _measure_once(args, place, listener)
-
+    with (
+        terminal_progress() as listener,
+        probe.at_machine(config, store, in_bore=False, listener=listener) as place,
+    ):
+        once = partial(_measure_once, args, place)
         if args.every is None:
             return 0 if once() is None else 1
         schedule = on_schedule(once, place.clock, SECONDS_PER_MINUTE * args.every, args.times, listener)
@@ -158,8 +158,8 @@ def run_measure(args: argparse.Namespace) -> int:
     return 0 if not schedule.refused else 1
 
 
-def _measure_once(args: argparse.Namespace, place: probe.ProbePlace, listener: Listener) -> str | None:
-    found = probe.measure(place, args.mode, listener)
+def _measure_once(args: argparse.Namespace, place: probe.ProbePlace) -> str | None:
+    found = probe.measure(place, args.mode)
     config, refusal = place.config, found.refusal
     print_measured(config, found.measurement, refusal, place.store.path, place.bench)
     history = place.store.history() if args.report else ()
@@ -180,8 +180,8 @@ def run_other(args: argparse.Namespace) -> int:
         print(f"z: {height}")
         print(f"would feed by up to {feature.search_mm:g} mm, {times(len(ways(feature)))}, until contact")
         return 0
-    with probe.at_machine(config, store, feature=name) as place, terminal_progress() as listener:
-        found = probe.measure_other(place, known, name, spindle_deg=args.spindle, mode=args.mode, listener=listener)
+    with terminal_progress() as listener, probe.at_machine(config, store, feature=name, listener=listener) as place:
+        found = probe.measure_other(place, known, name, args.mode, spindle_deg=args.spindle)
     rows = [
         [_heading(key), _shown(key, value), _shown(key, found.uncorrected[key])]
         for key, value in found.corrected.items()
@@ -243,8 +243,8 @@ def run_codes(args: argparse.Namespace) -> int:
             write_json(args.json, {"machine": config.name, "handled": forms})
 
     print_codes(config)
-    with probe.at_machine(config, store, in_bore=False) as place, terminal_progress() as listener:
-        probe.serve(place, times=args.times, wait_s=args.wait, mode=args.mode, keep=keep, listener=listener)
+    with terminal_progress() as listener, probe.at_machine(config, store, in_bore=False, listener=listener) as place:
+        probe.serve(place, times=args.times, wait_s=args.wait, mode=args.mode, keep=keep)
     return 0
 
 
@@ -271,8 +271,8 @@ def run_correct(args: argparse.Namespace) -> int:
         print(f"run-out {run_out_text(known)}, measured {_moment(when)}")
         print(f"would move x by {x_um:+.2f} µm and y by {y_um:+.2f} µm at spindle angle 0°; at another, turned with it")
         return 0
-    with probe.at_machine(config, store) as place, terminal_progress() as listener:
-        done = probe.drive_correction(place, known, code, listener)
+    with terminal_progress() as listener, probe.at_machine(config, store, listener=listener) as place:
+        done = probe.drive_correction(place, known, code)
     print_facts({"run-out": f"{run_out_text(known)}, measured {_moment(when)}", **correction_facts(config, done)})
     return finish(args, ProbeCorrectionResult(config.x, None, config, done, when))
 
@@ -291,7 +291,7 @@ def run_centre(args: argparse.Namespace) -> int:
             f"would feed each by up to {bore.reach_mm:g} mm to both sides, and go to the centre, corrected by {corrected}"
         )
         return 0
-    with probe.at_machine(config, store) as place, terminal_progress() as listener:
-        found = probe.centre(place, known, code, mode=args.mode, listener=listener)
+    with terminal_progress() as listener, probe.at_machine(config, store, listener=listener) as place:
+        found = probe.centre(place, known, code, args.mode)
     print_centre(config, found, place.bench)
     return finish(args, BoreResult(config.x, None, config, found, when))

@@ -5,7 +5,7 @@ terminal and screen.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -70,7 +70,8 @@ def opened_store(config: ProbeMachineConfig, reading: Ask, key: Ask | None = Non
 class ProbePlace:
     """The machine of a job: its file, its store, and, on the bench, the simulated machine with its drives.
 
-    begun: start of the work; waiting: the object through which its clock waits
+    begun: start of the work; waiting: the object through which its clock waits; on_connected: called with each session as soon as it
+    is connected
     """
 
     config: ProbeMachineConfig
@@ -78,7 +79,9 @@ class ProbePlace:
     bench: ProbeBench | None
     drives: Mapping[str, ServoDrive]
     begun: datetime
-    waiting: Waiting | None = None
+    waiting: Waiting | None
+    listener: Listener
+    on_connected: OnConnected
 
     @property
     def clock(self) -> Clock:
@@ -96,7 +99,9 @@ class ProbePlace:
         """A connected session; real drives are released between the turns of a schedule. Raises as `probe_drives`."""
         with ExitStack() as stack:
             drives = self.drives or stack.enter_context(probe_drives(self.config, waiting=self.waiting))
-            yield stack.enter_context(probe_session(self.config, drives, touching=touching, mode=mode))
+            session = stack.enter_context(probe_session(self.config, drives, touching=touching, mode=mode))
+            self.on_connected(session)
+            yield session
 
 
 def _date() -> datetime:
@@ -111,15 +116,17 @@ def at_machine(
     in_bore: bool = True,
     feature: str | None = None,
     waiting: Waiting | None = None,
+    listener: Listener = silent,
+    on_connected: OnConnected = lambda _session: None,
 ) -> Iterator[ProbePlace]:
     """The machine of a machine file. On the bench it starts before a feature, or in the bore, if there is one and in_bore."""
     if not config.on_bench:
-        yield ProbePlace(config, store, None, {}, _date(), waiting)
+        yield ProbePlace(config, store, None, {}, _date(), waiting, listener, on_connected)
         return
     begun = _date()
     bench = probe_bench(config, in_bore=in_bore and config.bore is not None, feature=feature, waiting=waiting)
     with probe_drives(config, bench) as drives:
-        yield ProbePlace(config, store, bench, drives, begun, waiting)
+        yield ProbePlace(config, store, bench, drives, begun, waiting, listener, on_connected)
 
 
 # -- the work --------------------------------------------------------------------------------------------------------------
@@ -131,62 +138,32 @@ class MeasuredRunOut:
     refusal: str | None
 
 
-def measure(
-    place: ProbePlace,
-    mode: str | None = None,
-    listener: Listener = silent,
-    on_connected: OnConnected = lambda _session: None,
-) -> MeasuredRunOut:
+def measure(place: ProbePlace, mode: str | None = None) -> MeasuredRunOut:
     """M90: into the history, and into force unless it is refused. mode: the machine file's by default. Raises as
     `measure_run_out`.
     """
     with place.session("x", mode=mode) as session:
-        on_connected(session)
-        return MeasuredRunOut(*measure_and_store(session, place.store, place.now, listener))
+        return MeasuredRunOut(*measure_and_store(session, place.store, place.now, place.listener))
 
 
-def drive_correction(
-    place: ProbePlace,
-    known: RunOut,
-    code: CorrectionCode,
-    listener: Listener = silent,
-    on_connected: OnConnected = lambda _session: None,
-) -> Correction:
+def drive_correction(place: ProbePlace, known: RunOut, code: CorrectionCode) -> Correction:
     """M91, M92 or M93 from the machine's present position. Raises as `correct`."""
     with place.session(*(("x", "y") if code.in_y else ("x",)), mode="step") as session:
-        on_connected(session)
-        return correct(session, known, code, listener)
+        return correct(session, known, code, place.listener)
 
 
-def centre(
-    place: ProbePlace,
-    known: RunOut,
-    code: CorrectionCode,
-    *,
-    mode: str | None = None,
-    listener: Listener = silent,
-    on_connected: OnConnected = lambda _session: None,
-) -> BoreCentre:
+def centre(place: ProbePlace, known: RunOut, code: CorrectionCode, mode: str | None = None) -> BoreCentre:
     """Finds the bore's middle and moves to its centre. Raises as `centre_bore`."""
     with place.session("x", "y", mode=mode) as session:
-        on_connected(session)
-        return centre_bore(session, known, code, listener)
+        return centre_bore(session, known, code, place.listener)
 
 
 def measure_other(
-    place: ProbePlace,
-    known: RunOut,
-    name: str,
-    *,
-    spindle_deg: float | None = None,
-    mode: str | None = None,
-    listener: Listener = silent,
-    on_connected: OnConnected = lambda _session: None,
+    place: ProbePlace, known: RunOut, name: str, mode: str | None = None, *, spindle_deg: float | None = None
 ) -> FeatureMeasurement:
     """Measures a face, its angle, a boss or a reference position. Raises as `measure_feature`."""
     with place.session("x", "y", mode=mode) as session:
-        on_connected(session)
-        return measure_feature(session, known, name, spindle_deg=spindle_deg, listener=listener)
+        return measure_feature(session, known, name, spindle_deg=spindle_deg, listener=place.listener)
 
 
 def serve(
@@ -196,13 +173,12 @@ def serve(
     wait_s: float | None = None,
     mode: str | None = None,
     keep: Callable[[HandledCode], None] = lambda _handled: None,
-    listener: Listener = silent,
 ) -> list[HandledCode]:
     """Handles the codes that a control gives. Raises as `serve_codes` and `control_wires`."""
     touching = ("x", "y") if place.config.y is not None else ("x",)
     with place.session(*touching, mode=mode) as session, control_wires(place.config, session.drives) as wires:
         return serve_codes(
-            session, wires, place.store, place.now, times=times, wait_s=wait_s, keep=keep, listener=listener
+            session, wires, place.store, place.now, times=times, wait_s=wait_s, keep=keep, listener=place.listener
         )
 
 
@@ -301,8 +277,8 @@ def measuring_job(config: ProbeMachineConfig, store: RunOutStore, mode: str) -> 
     """Job that returns a MeasuredRunOut."""
 
     def work(place: Workplace) -> MeasuredRunOut:
-        with at_machine(config, store, in_bore=False, waiting=place.waiting) as there:
-            return measure(there, mode, place.listener, _showing(config, place))
+        with _shown_at(config, store, place, in_bore=False) as there:
+            return measure(there, mode)
 
     plan = measuring_plan(config, store, mode)
     return Job(MEASURE, plan, work, connects=True, reached=lambda measured: measured.refusal is None)
@@ -312,8 +288,8 @@ def correction_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut
     """Job that returns a Correction. known: the run-out in force"""
 
     def work(place: Workplace) -> Correction:
-        with at_machine(config, store, waiting=place.waiting) as there:
-            return drive_correction(there, known, code, place.listener, _showing(config, place))
+        with _shown_at(config, store, place) as there:
+            return drive_correction(there, known, code)
 
     return Job(CORRECT, correction_plan(config, known, code), work, connects=True)
 
@@ -322,8 +298,8 @@ def centring_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, 
     """Job that returns a BoreCentre. known: the run-out in force"""
 
     def work(place: Workplace) -> BoreCentre:
-        with at_machine(config, store, waiting=place.waiting) as there:
-            return centre(there, known, code, mode=mode, listener=place.listener, on_connected=_showing(config, place))
+        with _shown_at(config, store, place) as there:
+            return centre(there, known, code, mode)
 
     return Job(CENTRE, centring_plan(config, known, code, mode), work, connects=True)
 
@@ -332,21 +308,35 @@ def feature_job(config: ProbeMachineConfig, store: RunOutStore, known: RunOut, n
     """Job that returns a FeatureMeasurement, at the spindle's present angle. known: the run-out in force"""
 
     def work(place: Workplace) -> FeatureMeasurement:
-        with at_machine(config, store, feature=name, waiting=place.waiting) as there:
-            on_connected = _showing(config, place)
-            return measure_other(there, known, name, mode=mode, listener=place.listener, on_connected=on_connected)
+        with _shown_at(config, store, place, feature=name) as there:
+            return measure_other(there, known, name, mode)
 
     return Job(OTHER, feature_plan(config, name, mode), work, connects=True)
 
 
-def _showing(config: ProbeMachineConfig, place: Workplace) -> OnConnected:
-    """Shows the samples of the machine's axes at the desks that otherwise have these axes."""
+def _shown_at(
+    config: ProbeMachineConfig,
+    store: RunOutStore,
+    place: Workplace,
+    *,
+    in_bore: bool = True,
+    feature: str | None = None,
+) -> AbstractContextManager[ProbePlace]:
+    """As `at_machine`; the samples of the machine's axes are shown at the desks that otherwise have these axes."""
 
-    def on_connected(session: ProbeSession) -> None:
+    def show(session: ProbeSession) -> None:
         for name, axis in config.axes.items():
             place.watch(axis.name, session.drives[name], None)
 
-    return on_connected
+    return at_machine(
+        config,
+        store,
+        in_bore=in_bore,
+        feature=feature,
+        waiting=place.waiting,
+        listener=place.listener,
+        on_connected=show,
+    )
 
 
 def codes(config: ProbeMachineConfig) -> tuple[CorrectionCode, ...]:

@@ -46,8 +46,8 @@ class Probe:
         from hil.probe import job  # noqa: PLC0415  (drivers load slowly)
 
         store = self._store(writing=True)
-        with job.at_machine(self.file, store, in_bore=False) as place:
-            found = job.measure(place, mode, self._listener)
+        with job.at_machine(self.file, store, in_bore=False, listener=self._listener) as place:
+            found = job.measure(place, mode)
         return RunOutResult(self.file.x, None, self.file, found.measurement, found.refusal, store.history())
 
     def correct(self, code: str | None = None) -> ProbeCorrectionResult:
@@ -56,8 +56,8 @@ class Probe:
 
         wanted, store = self._correction(code), self._store()
         known, when = store.load()
-        with job.at_machine(self.file, store) as place:
-            done = job.drive_correction(place, known, wanted, self._listener)
+        with job.at_machine(self.file, store, listener=self._listener) as place:
+            done = job.drive_correction(place, known, wanted)
         return ProbeCorrectionResult(self.file.x, None, self.file, done, when)
 
     def centre(self, code: str | None = None, mode: str | None = None) -> BoreResult:
@@ -66,8 +66,8 @@ class Probe:
 
         wanted, store = self._correction(code), self._store()
         known, when = store.load()
-        with job.at_machine(self.file, store) as place:
-            found = job.centre(place, known, wanted, mode=mode, listener=self._listener)
+        with job.at_machine(self.file, store, listener=self._listener) as place:
+            found = job.centre(place, known, wanted, mode)
         return BoreResult(self.file.x, None, self.file, found, when)
 
     def feature(self, name: str, *, spindle_deg: float | None = None, mode: str | None = None) -> FeatureResult:
@@ -77,8 +77,8 @@ class Probe:
         self.file.require_feature(name)
         store = self._store()
         known, when = store.load()
-        with job.at_machine(self.file, store, feature=name) as place:
-            found = job.measure_other(place, known, name, spindle_deg=spindle_deg, mode=mode, listener=self._listener)
+        with job.at_machine(self.file, store, feature=name, listener=self._listener) as place:
+            found = job.measure_other(place, known, name, mode, spindle_deg=spindle_deg)
         return FeatureResult(self.file.x, None, self.file, found, when)
 
     def _correction(self, code: str | None) -> CorrectionCode:

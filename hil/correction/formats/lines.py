@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drivers.errors import InputError
-from hil.correction.formats.common import LENGTH_MM, number, numbered_lines, require
-from hil.correction.formats.measured_csv import DIRECTIONS, inferred
+from hil.correction.formats.common import LENGTH_MM, numbered_lines, require
+from hil.correction.formats.measured_csv import cell_value, ordered_records
 from hil.records.rows import Floats, Records
 
 
@@ -64,23 +64,10 @@ def load(text: str, settings: LinesSettings) -> Records:
     columns: dict[str, list[float]] = {}
     for line_number, match in found:
         for name, cell in match.groupdict().items():
-            columns.setdefault(name, []).append(_value(name, cell, settings, line_number))
+            if cell is None:
+                raise InputError(f"has no {name}", line=line_number)
+            columns.setdefault(name, []).append(cell_value(name, cell, settings.decimal, line_number))
     return _records({name: np.array(values) for name, values in columns.items()}, [line for line, _ in found])
-
-
-def _value(name: str, cell: str | None, settings: LinesSettings, line: int) -> float:
-    if cell is None:
-        raise InputError(f"has no {name}", line=line)
-    if name == "direction":
-        if cell.strip().lower() not in DIRECTIONS:
-            raise InputError(
-                f"direction is {cell!r}, expected +1 or -1 (or up and down, forward and reverse)", line=line
-            )
-        return DIRECTIONS[cell.strip().lower()]
-    value = number(cell, name, line, settings.decimal)
-    if name == "run" and value != int(value):
-        raise InputError(f"run is {cell!r}, expected a whole number", line=line)
-    return value
 
 
 def _records(columns: dict[str, Floats], lines: Sequence[int]) -> Records:
@@ -92,9 +79,4 @@ def _records(columns: dict[str, Floats], lines: Sequence[int]) -> Records:
     target = lengths["target"]
     columns["target_mm"] = target
     columns["measured_mm"] = lengths["measured"] if "measured" in lengths else target + lengths["error"]
-    if "run" not in columns or "direction" not in columns:
-        run, direction = inferred(target, lines)
-        columns.setdefault("run", run)
-        columns.setdefault("direction", direction)
-    order = ["run", "direction", "target_mm", "measured_mm"]
-    return Records.of({name: columns[name] for name in (*order, *(name for name in columns if name not in order))})
+    return ordered_records(columns, lines)

@@ -114,16 +114,22 @@ def _wanted(header: list[str], settings: MeasuredCsvSettings, line: int) -> dict
     return wanted
 
 
-def _value(name: str, cell: str, settings: MeasuredCsvSettings, line: int) -> float:
+def cell_value(name: str, cell: str, decimal: str, line: int) -> float:
+    """A cell of the record column `name`. Raises InputError for no number, no direction, and a run that is no whole number."""
     if name == "direction":
-        if cell.lower() not in DIRECTIONS:
+        if cell.strip().lower() not in DIRECTIONS:
             raise InputError(
                 f"direction is {cell!r}, expected +1 or -1 (or up and down, forward and reverse)", line=line
             )
-        return DIRECTIONS[cell.lower()]
-    value = number(cell, name, line, settings.decimal)
+        return DIRECTIONS[cell.strip().lower()]
+    value = number(cell, name, line, decimal)
     if name == "run" and value != int(value):
         raise InputError(f"run is {cell!r}, expected a whole number", line=line)
+    return value
+
+
+def _value(name: str, cell: str, settings: MeasuredCsvSettings, line: int) -> float:
+    value = cell_value(name, cell, settings.decimal, line)
     unit = settings.column(name).unit.lower()
     if not unit:
         return value
@@ -134,8 +140,14 @@ def _records(columns: dict[str, Floats], settings: MeasuredCsvSettings, lines: S
     target = columns["target_mm"]
     if "error_um" in columns:
         columns["measured_mm"] = target + columns.pop("error_um") / UM_PER_MM
-    if settings.infer and ("run" not in columns or "direction" not in columns):
-        run, direction = inferred(target, lines)
+    return ordered_records(columns, lines if settings.infer else None)
+
+
+def ordered_records(columns: dict[str, Floats], lines: Sequence[int] | None) -> Records:
+    """Records of these columns, the required ones first. lines: of the rows in the file, from which a missing run or direction is
+    `inferred`; None: they are there."""
+    if lines is not None and ("run" not in columns or "direction" not in columns):
+        run, direction = inferred(columns["target_mm"], lines)
         columns.setdefault("run", run)
         columns.setdefault("direction", direction)
     order = ["run", "direction", "target_mm", "measured_mm"]
