@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -159,7 +160,11 @@ def _run(
             drive = {**drive, "like": str(args.like.resolve())}
         if getattr(args, "axis_file", None):
             instrument = instrument_text(args.kind, bench.laser_path)
-            name = "X" if args.like is None else f"{args.like.resolve().name.removesuffix('-campaign')}-like"
+            name = re.sub(
+                r"[^A-Za-z0-9_.-]", "_", Path(args.axis_file).stem
+            )  # so that its campaigns have a folder of their own
+            if args.like is not None:
+                name = f"{args.like.resolve().name.removesuffix('-campaign')}-like"
             text = axis_text(bench.parameters, drive or {}, instrument, counts_per_rev, name)
             replace_file(args.axis_file, text.encode())
             campaigns = load_drive_axis(args.axis_file).store.directory

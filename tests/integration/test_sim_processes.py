@@ -37,10 +37,11 @@ def test_a_laser_alone_shows_an_axis_that_shuttles() -> None:
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_machine_over_modbus_tcp_says_where_it_is_and_ends_when_told(number: int, tmp_path: Path) -> None:
-    path = tmp_path / "X.toml"
-    (tmp_path / "X-campaign").mkdir()
+    path = tmp_path / "S.toml"
+    (tmp_path / "S-campaign").mkdir()
     with sim("modbus", "--tcp", "127.0.0.1:0", "--laser", "--machine", "ideal", "--axis-file", str(path)) as machine:
         axis = load_axis(path)
+        assert axis.name == "S", "its campaigns are not in the folder of another axis"
         assert axis.drive.url == machine.place["drive"]["url"]
         assert axis.instrument.port == machine.place["laser"]["port"]
         host, port = axis.drive.url.removeprefix("tcp://").split(":")
@@ -52,7 +53,7 @@ def test_a_machine_over_modbus_tcp_says_where_it_is_and_ends_when_told(number: i
         assert int.from_bytes(reply[9:11], "big") & 0x004F == 0x0040  # switch on disabled
         assert machine.end(number) == 0
         assert machine.left == {"powered": False, "moving": False, "fault_code": 0, "position_mm": 0.0}
-        assert "X-campaign has measurements of another machine" in machine.errors
+        assert "S-campaign has measurements of another machine" in machine.errors
 
 
 def test_the_faults_asked_for_happen_on_the_wire(capsys: pytest.CaptureFixture[str]) -> None:

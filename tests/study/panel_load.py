@@ -69,9 +69,6 @@ def simulated(directory: Path, number: int) -> Iterator[tuple[Path, int]]:
         try:
             assert process.stdout is not None
             json.loads(process.stdout.readline())
-            path.write_text(
-                path.read_text(encoding="utf-8").replace('name = "X"', f'name = "X{number}"'), encoding="utf-8"
-            )
             yield path, process.pid
         finally:
             process.send_signal(signal.SIGINT)

@@ -44,7 +44,7 @@ def machine(directory: Path, name: str = "X") -> Iterator[SimulatedMachine]:
         simulated("modbus", "--tcp", "127.0.0.1:0", "--laser", "--axis-file", str(path)) as (drive, _),
         simulated("laser", "--still") as (laser, said),
     ):
-        text = path.read_text(encoding="utf-8").replace('name = "X"', f'name = "{name}"')
+        text = path.read_text(encoding="utf-8")
         port = json.dumps(said["laser"]["port"])
         path.write_text(re.sub(r'port = "/dev/pts/\d+"', f"port = {port}", text), encoding="utf-8")
         yield SimulatedMachine(path, drive, laser)
