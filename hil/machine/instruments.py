@@ -1,20 +1,20 @@
-"""Builds the instrument of an axis file's [instrument] section. No other module names concrete instruments."""
+"""Builds the instrument of an axis file's [instrument] section. No other module names concrete instruments, and a job loads only its
+own."""
+
+# ruff: noqa: PLC0415
 
 from __future__ import annotations
 
-from drivers import ciddor
-from drivers import edlen as air
+from typing import TYPE_CHECKING
+
 from drivers.clock import Clock
 from drivers.instrument import DistanceInstrument
-from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
-from drivers.instruments.gauge import Gauge
 from drivers.instruments.link import PatientLink
-from drivers.instruments.nd2xx import Nd2xxDecoder
-from drivers.instruments.replay import Recording, ReplayInstrument, ReplaySettings
 from drivers.instruments.serial_link import SerialLink
-from drivers.instruments.umd_laser import BesideOptics, FixedAir, Optics, UmdLaser, UmdSettings
-from drivers.instruments.values import ValueProtocol
 from hil.axis.axis_file import DisplayConfig, InstrumentConfig
+
+if TYPE_CHECKING:
+    from drivers.instruments.values import ValueProtocol
 
 
 def build_instrument(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
@@ -23,6 +23,8 @@ def build_instrument(config: InstrumentConfig, port: str, clock: Clock) -> Dista
     Raises InputError for a file that is no recording, or for a wrong pattern.
     """
     if config.replay is not None:
+        from drivers.instruments.replay import Recording, ReplayInstrument, ReplaySettings
+
         settings = ReplaySettings(config.replay.column, config.direction, config.replay.speed)
         return ReplayInstrument(Recording.read(config.replay.file), clock, settings)
     if config.display is not None:
@@ -30,7 +32,11 @@ def build_instrument(config: InstrumentConfig, port: str, clock: Clock) -> Dista
     return _umd(config, port, clock)
 
 
-def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: Clock) -> Gauge:
+def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
+    from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
+    from drivers.instruments.gauge import Gauge
+    from drivers.instruments.nd2xx import Nd2xxDecoder
+
     line = SerialLink(
         port,
         baudrate=display.baud,
@@ -47,7 +53,11 @@ def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: C
     return Gauge(PatientLink(line, clock), clock, protocol, direction=config.direction, name=config.kind)
 
 
-def _umd(config: InstrumentConfig, port: str, clock: Clock) -> UmdLaser:
+def _umd(config: InstrumentConfig, port: str, clock: Clock) -> DistanceInstrument:
+    from drivers import ciddor
+    from drivers import edlen as air
+    from drivers.instruments.umd_laser import BesideOptics, FixedAir, Optics, UmdLaser, UmdSettings
+
     fixed = config.fixed_air
     settings = UmdSettings(
         optics=Optics(config.wavelength_fraction),

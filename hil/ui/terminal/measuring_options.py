@@ -15,7 +15,6 @@ from hil.machine.axes_wiring import connected_across
 from hil.machine.conditions import Conditions
 from hil.machine.in_motion_settings import InMotion
 from hil.machine.machine import Machine
-from hil.machine.replay import recorded, replayed
 from hil.machine.who_is_there import naming_who_is_there
 from hil.machine.wiring import connected
 from hil.ui.terminal.axis_options import load_cross
@@ -43,6 +42,8 @@ def machine_of(
     Raises as `connected`, `connected_across`, `recorded` and `replayed`, and InputError for a recording where another axis moves.
     """
     recorded_to, replayed_from = getattr(args, "record", None), getattr(args, "replay", None)
+    if recorded_to or replayed_from:
+        from hil.machine.replay import recorded, replayed  # noqa: PLC0415  (a job seldom records, and starts sooner)
     if moves_axis and (recorded_to or replayed_from):
         raise InputError(f"a recording holds one axis, and the stored straightness moves axis {moves_axis} too")
     if replayed_from:
