@@ -3,9 +3,9 @@
 From the wire up:
 
     bus             frames by identifier on any python-can interface, dispatched by the waiting caller: no receiver thread
-    adapters        opening an adapter                   wire_time       what frames cost
+    adapters        opening an adapter                   wire_time       what frames and transfers cost
     sdo_transfer    SDO as generators, no I/O            sdo             the guarded client of one node
-    abort_codes     what a refused transfer means        sdo_cost        what transfers cost on the bus
+    abort_codes     what a refused transfer means        beside          the canopen package next to a drive
     cia301          objects of communication, named      identity        what a node says it is
     eds             dictionaries of vendors              eds_text        puts their text right
     dcf             device configurations, also concise  scan            which nodes are on the bus
@@ -19,7 +19,6 @@ From the wire up:
     known_objects   which objects are parameters         not_parameters  which of them may not be written
     raw_parameters  parameters as bytes over SDO         side_by_side    several nodes' transfers at once
     table_map       a drive's own correction table       correction_table  reading and writing it
-    beside          the canopen package's network and node next to a drive
 
 The standard CiA 402 itself is in `drivers.cia402`, access to parameters by name in `drivers.named_parameters`.
 

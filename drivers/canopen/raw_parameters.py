@@ -17,9 +17,9 @@ from drivers.canopen.node import NmtCommand, Node
 from drivers.canopen.not_parameters import refusal
 from drivers.canopen.pdo import SETTINGS
 from drivers.canopen.sdo import most_bytes
-from drivers.canopen.sdo_cost import transfer
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.whole_pdo import PdoImage, described, pdo_at, read_pdo, write_pdo
+from drivers.canopen.wire_time import transfer
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.cia402.state_machine import decode_state

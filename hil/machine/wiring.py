@@ -136,8 +136,8 @@ def predicted_table_s(axis: DriveAxis, table: RawTable) -> float | None:
     config = axis.drive
     if not config.correction_table or config.face == "virtual":
         return None
-    from drivers.canopen.sdo_cost import table_s  # noqa: PLC0415  (a verb loads the wire its axis file names)
     from drivers.canopen.table_map import load_table_map  # noqa: PLC0415  (as above)
+    from drivers.canopen.wire_time import table_s  # noqa: PLC0415  (a verb loads the wire its axis file names)
 
     return table_s(load_table_map(config.correction_table), table, config.bitrate)
 

@@ -16,8 +16,8 @@ from support.served_drive import served
 from drivers.canopen.bus import CanLink
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.node import Node
-from drivers.canopen.sdo_cost import table_s
 from drivers.canopen.table_map import load_table_map
+from drivers.canopen.wire_time import table_s
 from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable

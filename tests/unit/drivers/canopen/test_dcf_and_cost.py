@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import load_eds
-from drivers.canopen.sdo_cost import transfer
 from drivers.canopen.sdo_transfer import Conversation, download, upload
-from drivers.canopen.wire_time import frame_bits
+from drivers.canopen.wire_time import frame_bits, transfer
 from drivers.errors import InputError
 from sim_backends.can_bus_model import frame_bits as bus_bits
 from sim_backends.canopen_dictionary import Dictionary, load_items
