@@ -132,12 +132,6 @@ class ModbusServer:
         if self._error is not None:
             raise self._error
 
-    def drop_connections(self) -> None:
-        """Close every TCP connection, as a restarting server does."""
-        with self._lock:
-            for port in [port for port in self._ports.values() if not port.serial]:
-                self._hang_up(port)
-
     # -- time ----------------------------------------------------------------------------------------------------------
     def advance(self, now_ns: int, _dt_s: float) -> None:
         """Advance the faces to now_ns, and send replies delayed until now. Requests received are handled before, except in real time:

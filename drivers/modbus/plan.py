@@ -99,14 +99,6 @@ class WireCost:
             return self.exchange_s(5, 5)
         return self.exchange_s(6 + _data_bytes(table, count), 5)
 
-    def gap_tolerance(self, table: Table) -> int:
-        """Largest gap of unwanted registers (or bits) that is cheaper to read along than a second request."""
-        if self.per_byte_s <= 0:
-            return _limit(table)
-        saved_bytes = (self.read_s(table, 1) - _data_bytes(table, 1) * self.per_byte_s) / self.per_byte_s
-        per_byte = 8.0 if table.is_bits else 0.5
-        return min(_limit(table), int(saved_bytes * per_byte))
-
 
 def silent_interval_s(baud: int) -> float:
     """The pause that ends an RTU frame, s: 3.5 characters, a fixed 1.75 ms above 19200 baud. Raises InputError for baud <= 0."""
@@ -231,10 +223,6 @@ def group_writes(writes: Sequence[tuple[Table, Span]], *, max_registers: int = M
                 continue
         groups.append([index])
     return groups
-
-
-def _limit(table: Table) -> int:
-    return MAX_READ_BITS if table.is_bits else MAX_READ_REGISTERS
 
 
 def _data_bytes(table: Table, count: int) -> int:

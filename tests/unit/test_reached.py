@@ -39,7 +39,6 @@ EXCEPTIONS = {
     "drivers.instruments.umd_laser.UmdLaser.loss_latched": "tests see by it why positions are withheld",
     "drivers.instruments.umd_laser.UmdLaser.missing_air": "tests see by it why positions are withheld",
     "drivers.modbus.map_loader.load_register_map": "tests of the registers alone, without a drive",
-    "drivers.modbus.plan.WireCost.gap_tolerance": "tests hold the plan against it",
     "drivers.toml_schema.keys_of": "tests/study/axis_reference.py writes a page with it",
     "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
     "hil.__getattr__": "Python calls it",
@@ -47,7 +46,6 @@ EXCEPTIONS = {
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",
     "hil.testing.plugin.pytest_addoption": "pytest calls it",
     "sim_backends.canopen_station.attach_to_wire": "a drive on the wire of the tests, whose frames take their time",
-    "sim_backends.modbus_drive.ModbusServer.drop_connections": "a fault of a server that tests play",
 }
 """Function -> why it stays although nothing reaches it."""
 IN_TESTS = ("sim_backends.canopen_bench.CanBench",)

@@ -41,10 +41,9 @@ def test_silent_interval(baud: int, expected_s: float) -> None:
 
 
 def test_a_gap_is_read_along_as_long_as_that_is_cheaper() -> None:
-    tolerance = RTU.gap_tolerance(HOLDING)
-    assert tolerance > 0
-    within = plan_reads([(HOLDING, Span(0, 1)), (HOLDING, Span(1 + tolerance, 1))], RTU)
-    beyond = plan_reads([(HOLDING, Span(0, 1)), (HOLDING, Span(2 + tolerance, 1))], RTU)
+    """A second request has 13 bytes and two silent intervals of 1.75 ms, 36.7 characters: as much as 24 registers."""
+    within = plan_reads([(HOLDING, Span(0, 1)), (HOLDING, Span(25, 1))], RTU)
+    beyond = plan_reads([(HOLDING, Span(0, 1)), (HOLDING, Span(26, 1))], RTU)
     assert len(within.requests) == 1
     assert len(beyond.requests) == 2
 
