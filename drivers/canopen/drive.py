@@ -12,10 +12,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import partial
 
+from drivers.canopen import cia301
 from drivers.canopen.connection import Connection
 from drivers.canopen.correction_table import CanOpenCorrectionTable
 from drivers.canopen.eds_text import summary
-from drivers.canopen.identity import Identity, object_of, read_identity, stores_on_command, unit_objects
+from drivers.canopen.identity import Identity, object_of, read_identity, unit_objects
 from drivers.canopen.node import NmtState
 from drivers.canopen.pdo import PdoSpec
 from drivers.canopen.raw_parameters import CanOpenRawParameters
@@ -93,7 +94,7 @@ class CanOpenDrive(StoppableNode):
             vendor, eds = self.identity.vendor_id, self.node.eds
             self._take_up(self.sdo, self.sampler, vendor if eds is None else eds.maker(vendor))
             self._has_probe = self.sdo.read_if_shown(objects.PROBE_FUNCTION, None) is not None
-            self._stores = stores_on_command(self.sdo)
+            self._stores = bool(self.sdo.read_if_shown(cia301.STORE_ALL, 0) & cia301.ON_COMMAND)
             if eds is not None:
                 if not vendor:
                     self.notes.append(

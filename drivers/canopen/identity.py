@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from drivers.canopen import cia301
 from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
-from drivers.cia402.objects import Entry
 from drivers.errors import AbortError, ProtocolError
 
 PROFILE = 402
@@ -18,13 +17,11 @@ NO_PROFILE = 0
 
 @dataclass(frozen=True)
 class Identity:
-    """Identity objects 1018h and 1008h."""
+    """Of 1018h; 0 for what the node does not show."""
 
     vendor_id: int
     product_code: int
-    revision: int
     serial: int
-    device_name: str
 
 
 def read_identity(sdo: SdoClient) -> Identity:
@@ -39,22 +36,8 @@ def read_identity(sdo: SdoClient) -> Identity:
     return Identity(
         sdo.read_if_shown(cia301.VENDOR_ID, 0),
         sdo.read_if_shown(cia301.PRODUCT_CODE, 0),
-        sdo.read_if_shown(cia301.REVISION, 0),
         sdo.read_if_shown(cia301.SERIAL_NUMBER, 0),
-        _text(sdo, cia301.DEVICE_NAME),
     )
-
-
-def _text(sdo: SdoClient, entry: Entry) -> str:
-    try:
-        return sdo.read_text(entry)
-    except AbortError:
-        return ""
-
-
-def stores_on_command(sdo: SdoClient) -> bool:
-    """Whether 1010h:1 says that it stores on command; False for a drive that does not let it be read."""
-    return bool(sdo.read_if_shown(cia301.STORE_ALL, 0) & cia301.ON_COMMAND)
 
 
 UNIT_OBJECTS = (

@@ -267,10 +267,6 @@ class SdoClient:
         except AbortError:
             return absent
 
-    def read_text(self, entry: Entry) -> str:
-        """Read a string object. Raises as `read`."""
-        return str(entry.unpack(self.read_bytes(self.index_of(entry), entry.subindex, most=most_bytes(entry))))
-
     def write(self, entry: Entry, value: float) -> None:
         """Write a numeric object; returns once the device has accepted it. Raises InputError, and as `write_bytes`."""
         self.run(self.putting(entry, value))

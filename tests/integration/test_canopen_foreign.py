@@ -169,7 +169,7 @@ def test_we_read_and_write(ours: Ours) -> None:
     link, node = ours
     sdo = SdoClient(link, NODE, "theirs")
     assert sdo.read(cia301.DEVICE_TYPE) == 0x20192
-    assert sdo.read_text(cia301.DEVICE_NAME) == "Simulated feed axis servo drive"
+    assert sdo.read_bytes(0x1008, 0) == b"Simulated feed axis servo drive"
     sdo.write(GAIN, 99)
     assert node.sdo[0x2210][1].raw == 99
     with pytest.raises(AbortError, match="object does not exist"):

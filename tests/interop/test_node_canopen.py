@@ -251,7 +251,7 @@ def test_we_read_and_write(peer: NodePeer, sdo: SdoClient) -> None:
     assert sdo.read(number) == -123456
     sdo.write(number, 99)
     assert peer.ask("get", index=0x2001)["data"] == "63000000"
-    assert sdo.read_text(Entry(0x2002, 0, DataType.STRING, "text")) == "a drive of somebody else"
+    assert sdo.read_bytes(0x2002, 0) == b"a drive of somebody else"
     with pytest.raises(AbortError) as refused:
         sdo.write(Entry(0x2003, 0, DataType.U32, "read only"), 1)
     assert refused.value.code == 0x06010002

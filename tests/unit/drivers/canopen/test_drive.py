@@ -153,7 +153,6 @@ def test_identity_and_capabilities(make: MakeRig) -> None:
     drive = make().opened()
     assert drive.identity is not None
     assert (drive.identity.vendor_id, drive.identity.product_code) == (0x4E1, 0x402)
-    assert drive.identity.device_name == "Simulated feed axis servo drive"
     assert [drive.fault_text(code) for code in (0x8611, 0x3220, 0xFF01)] == [
         "following error (8611h)",
         "DC link under-voltage (3220h)",

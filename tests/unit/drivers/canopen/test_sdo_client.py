@@ -51,7 +51,7 @@ def _desk(*faults: CanFault) -> Desk:
 
 def test_numbers_and_texts(desk: Desk) -> None:
     assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
-    assert desk.sdo.read_text(cia301.DEVICE_NAME) == "Simulated feed axis servo drive"
+    assert desk.sdo.read_bytes(0x1008, 0) == b"Simulated feed axis servo drive"
     desk.sdo.write(objects.HOME_OFFSET, -123_456)
     assert desk.sdo.read(objects.HOME_OFFSET) == -123_456
 

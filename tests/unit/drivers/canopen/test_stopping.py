@@ -13,7 +13,6 @@ from functools import partial
 import can
 import pytest
 
-from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.sdo import SdoClient
@@ -328,7 +327,7 @@ def test_a_stop_in_the_middle_of_a_long_transfer(make: MakeRig, reading: bool) -
         transfer()
     rig.link.unwatch(at_the_second_segment)
     assert drive.sdo.read(objects.STATUSWORD) & 0x6F != 0x27
-    assert drive.sdo.read_text(cia301.DEVICE_NAME) == "Simulated feed axis servo drive"
+    assert drive.sdo.read_bytes(0x1008, 0) == b"Simulated feed axis servo drive"
 
 
 @pytest.mark.parametrize("option", [2, 6])
