@@ -57,10 +57,11 @@ def run(args: argparse.Namespace) -> int:
         loop = close_loop(machine.session, campaign, axis.correction, store.save, listener, turning=TURNING)
         proof = run_verification(machine, loop.turn.extended, listener)
         machine_s = machine.clock.now_ns() / NS_PER_S
-    from hil.diagnosis.loop.report import loop_image, loop_report  # noqa: PLC0415  (plots are slow to import)
+    from hil.diagnosis.loop.report import loop_campaigns, loop_report  # noqa: PLC0415  (plots are slow to import)
+    from hil.ui.report.document import before_after_image  # noqa: PLC0415
 
     replace_file(directory / "report.html", loop_report(axis, loop, proof=proof).encode())
-    replace_file(directory / "before-after.png", loop_image(loop))
+    replace_file(directory / "before-after.png", before_after_image(loop_campaigns(loop)))
     wall_s = time.perf_counter() - started
     return _tell(args, axis, loop, proof, Times(machine_s, wall_s))
 

@@ -81,21 +81,6 @@ def run_dense_pass(machine: Machine, listener: Listener = silent, *, resume: boo
     return DensePass(propose(axis, measure(session, campaign, DENSE, steps, listener)), campaign, going_on)
 
 
-def with_dense_pass(plan: Plan, axis: AxisConfig) -> Plan:
-    return _with_moves(plan, measuring_plan(axis, dense_steps(axis), []), plan)
-
-
-def with_proof(plan: Plan, axis: AxisConfig) -> Plan:
-    """The plan of a calibration that is followed by a verification."""
-    return _with_moves(plan, plan, verification_plan(axis, 1))
-
-
-def _with_moves(plan: Plan, first: Plan, then: Plan) -> Plan:
-    """The plan with the moves of two, one after the other."""
-    moves, positions = (*first.moves, *then.moves), first.positions + then.positions
-    return replace(plan, moves=moves, positions=positions, travel_s=first.travel_s + then.travel_s)
-
-
 def run_calibration(
     machine: Machine,
     store: SealedStore | None,
@@ -388,11 +373,13 @@ def manual_job(axis: AxisConfig, tables: TableSet) -> Job:
 # -- verify --------------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
 class Verification:
-    """The result of a verification; `outside` is empty without a band. not_judged: where none is asked for."""
+    """The result of a verification; `outside` is empty without a band. not_judged: where none is asked for; compensation: in force,
+    None for none."""
 
     records: Records
     outside: tuple[Outside, ...]
-    not_judged: tuple[NotJudged, ...] = ()
+    not_judged: tuple[NotJudged, ...]
+    compensation: Compensation | None
 
     @property
     def good(self) -> bool:
@@ -422,9 +409,8 @@ def verify(
     """
     steps = bidirectional_steps(other_targets(session.how, seed), session.how.runs)
     records = measure(session, campaign, name, steps, listener)
-    if band is None:
-        return Verification(records, ())
-    return Verification(records, *judge(section_means(records), band, session.how.targets_mm))
+    outside, not_judged = ((), ()) if band is None else judge(section_means(records), band, session.how.targets_mm)
+    return Verification(records, outside, not_judged, session.compensation)
 
 
 def verification_plan(axis: AxisConfig, seed: int) -> Plan:
@@ -476,14 +462,6 @@ def run_proof(machine: Machine, listener: Listener, *, resume: bool) -> Verifica
     return run_verification(machine, compensation, listener, resume=same)
 
 
-@dataclass(frozen=True)
-class Verified:
-    """A verification, and the compensation that was in force, None for none."""
-
-    compensation: Compensation | None
-    result: Verification
-
-
 def verification_job(
     axis: AxisConfig,
     *,
@@ -493,10 +471,10 @@ def verification_job(
     zero: ZeroStatement = NO_STATEMENT,
     across: Across | None = None,
 ) -> Job:
-    """Job that returns a Verified, with the compensation in the axis's store, or without any. across: the axis that its straightness
-    moves, which the job connects too; None: no other is."""
+    """Job that returns a Verification, with the compensation in the axis's store, or without any. across: the axis that its
+    straightness moves, which the job connects too; None: no other is."""
 
-    def work(place: Workplace) -> Verified:
+    def work(place: Workplace) -> Verification:
         compensation = place.opened_store().load() if corrected else None
         if compensation is not None and (warning := place.opened_store().warning()) is not None:
             place.tell(warning)
@@ -504,8 +482,7 @@ def verification_job(
             machine = place.machine() if across is None else stack.enter_context(across.machine(axis, place))
             machine = Machine(axis, machine.session)
             with zero.applied(machine.session):
-                result = run_verification(machine, compensation, place.listener, seed=seed, resume=resume)
-        return Verified(compensation, result)
+                return run_verification(machine, compensation, place.listener, seed=seed, resume=resume)
 
     plan, kind = zero.in_plan(verification_plan(axis, seed)), VERIFY if corrected else UNCORRECTED
     if across is not None:

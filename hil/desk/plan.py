@@ -99,6 +99,12 @@ class Plan:
         return min(move.low_mm for move in self.moves), max(move.high_mm for move in self.moves)
 
 
+def with_moves_of(plan: Plan, other: Plan) -> Plan:
+    """The plan, and the moves of another one before or after it."""
+    moves, positions = (*plan.moves, *other.moves), plan.positions + other.positions
+    return replace(plan, moves=moves, positions=positions, travel_s=plan.travel_s + other.travel_s)
+
+
 def going_on(plan: Plan, directory: Path, kind: str) -> Plan:
     """The plan of going on with the interrupted campaign of this kind in an axis's folder; unchanged where there is none."""
     campaign = Campaign.unfinished(directory, kind)

@@ -18,6 +18,7 @@ from hil.correction.manual import read_manual_tables
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects.model import FORMAT as MODEL_FORMAT
 from hil.effects.model import Model
+from hil.effects.user_effects import catalogue_with
 from hil.files.controller_options import (
     CONTROLLER_OPTIONS,
     as_typed,
@@ -26,7 +27,6 @@ from hil.files.controller_options import (
 from hil.records.files import naming, parse_json
 from hil.ui.terminal.axis_options import open_store
 from hil.ui.terminal.output import print_facts, write_json
-from hil.ui.terminal.records_input import read_effects
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,7 +66,7 @@ def read_source(args: argparse.Namespace) -> Compensation:
     """Contents of the source. Raises InputError naming it."""
     suffix = Path(args.source).suffix.lower()
     if suffix == ".toml":
-        return open_store(args, load_axis(args.source), writing=False).load(read_effects(args.effects))
+        return open_store(args, load_axis(args.source), writing=False).load(catalogue_with(args.effects))
     if suffix == ".csv":
         return Compensation(read_manual_tables(args.source))
     if suffix != ".json":
@@ -77,7 +77,7 @@ def read_source(args: argparse.Namespace) -> Compensation:
     except ValueError as error:
         raise InputError(f"is not JSON: {error}", path=args.source) from error
     if isinstance(data, dict) and data.get("format") == MODEL_FORMAT:
-        model = Model.from_json(text, args.source, read_effects(args.effects))
+        model = Model.from_json(text, args.source, catalogue_with(args.effects))
         held = model.table
         table = DirectionalTable(*(np.array(part) for part in (held.positions_mm, held.forward_um, held.backward_um)))
         return Compensation(TableSet(TableMode.BIDIRECTIONAL, table.scaled(-1.0)), model.terms)

@@ -13,6 +13,7 @@ from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
 from hil.correction.rise import RUNNABLE, Rise, Shape, rise_of
 from hil.correction.store import SealedStore, bound_tables
+from hil.effects.user_effects import catalogue_with
 from hil.lost_motion.command_options import SHAPES
 from hil.lost_motion.job import lost_motion_config, measuring_plan, run_lost_motion
 from hil.lost_motion.measured import ReversalResult
@@ -21,7 +22,6 @@ from hil.ui.terminal.axis_options import load_stored, open_store, tell_zero
 from hil.ui.terminal.measuring_options import machine_of
 from hil.ui.terminal.output import finish, number, print_facts, print_table, times, write_json
 from hil.ui.terminal.progress import terminal_progress
-from hil.ui.terminal.records_input import read_effects
 
 
 def run(args: argparse.Namespace) -> int:
@@ -66,10 +66,10 @@ def _present(args: argparse.Namespace, axis: AxisConfig) -> tuple[Compensation |
     if args.only_measure:
         readable = there and (args.password_file or os.environ.get("HIL_PASSWORD") or sys.stdin.isatty())
         return (
-            load_stored(open_store(args, axis, writing=False), read_effects(args.effects)) if readable else None
+            load_stored(open_store(args, axis, writing=False), catalogue_with(args.effects)) if readable else None
         ), None
     store = open_store(args, axis, writing=True)
-    return (load_stored(store, read_effects(args.effects)) if there else None), store
+    return (load_stored(store, catalogue_with(args.effects)) if there else None), store
 
 
 def _print_plan(axis: AxisConfig, how: LostMotionConfig, args: argparse.Namespace) -> None:

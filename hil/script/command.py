@@ -6,7 +6,7 @@ import argparse
 import os
 
 from drivers.errors import InputError
-from hil.axis.axis_file import AxisConfig, load_axis
+from hil.axis.axis_file import load_axis
 from hil.script.open_axis import open_axis
 from hil.script.procedure import Procedure, values_of
 from hil.script.procedure_file import made_from
@@ -27,7 +27,10 @@ def run(args: argparse.Namespace) -> int:
         print_facts(_parameters(procedure))
         print_plan(axis, procedure_plan(procedure, axis))
         return 0
-    reading = _reading_password(args, axis) if args.corrected else None
+    usual = axis.store.password_file
+    reading = (
+        password(args.password_file, READING, "reading password", os.environ, usual=usual) if args.corrected else None
+    )
     with terminal_progress() as listener, open_axis(args.axis, password=reading, on_event=listener) as opened:
         result = opened.run(
             procedure,
@@ -45,7 +48,3 @@ def _parameters(procedure: Procedure) -> dict[str, str]:
     """The procedure and its parameters, name -> text."""
     given = {name: str(value).strip("[]") for name, value in values_of(procedure).items()}
     return {"procedure": type(procedure).__name__, **given}
-
-
-def _reading_password(args: argparse.Namespace, axis: AxisConfig) -> str:
-    return password(args.password_file, READING, "reading password", os.environ, usual=axis.store.password_file)

@@ -198,9 +198,8 @@ class OpenAxis(Axis):
             across = Across.of(axis, self._store_of_other(axis))
         job = verification_job(axis, corrected=corrected, seed=seed, resume=resume, zero=zero, across=across)
         verified = self._carry_out(job, store, axis)
-        tables = None if verified.compensation is None else verified.compensation.tables
         folder = _folder(axis, VERIFY if corrected else UNCORRECTED)
-        return VerificationResult(axis, folder, tables, verified.result, self._passwords)
+        return VerificationResult(axis, folder, verified, self._passwords)
 
     def _store_of_other(self, axis: AxisConfig) -> SealedStore | None:
         other = load_drive_axis(axis.across().axis_file)

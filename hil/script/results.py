@@ -102,12 +102,16 @@ class CalibrationResult(MeasuredResult):
 
 @dataclass(frozen=True, repr=False)
 class VerificationResult(MeasuredResult):
-    """A verification. tables: in force, None for the uncorrected axis."""
+    """A verification."""
 
     axis: AxisConfig
-    tables: TableSet | None
     raw: Verification
     _passwords: Passwords
+
+    @property
+    def tables(self) -> TableSet | None:
+        """The tables in force, None for the uncorrected axis."""
+        return None if self.raw.compensation is None else self.raw.compensation.tables
 
     @cached_property
     def accuracy(self) -> Accuracy:

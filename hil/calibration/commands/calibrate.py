@@ -20,13 +20,14 @@ from hil.calibration.job import (
     run_dense_pass,
     run_proof,
     summarise,
-    with_dense_pass,
-    with_proof,
+    verification_plan,
 )
+from hil.calibration.spacing import dense_steps
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_straightness
 from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import DirectionalTable, SingleTable, TableSet
+from hil.desk.plan import measuring_plan, with_moves_of
 from hil.figures.verdict import Accuracy, At
 from hil.ui.terminal.axis_options import open_store, print_plan, tell_zero
 from hil.ui.terminal.measuring_options import limited, machine_of, recording_name
@@ -97,9 +98,9 @@ def run(args: argparse.Namespace) -> int:
 def _print_dry_run(args: argparse.Namespace, axis: AxisConfig) -> None:
     plan = calibration_plan(axis)
     if not (args.without_proof or args.record or args.replay):
-        plan = with_proof(plan, axis)
+        plan = with_moves_of(plan, verification_plan(axis, 1))
     if args.dense:
-        plan = with_dense_pass(plan, axis)
+        plan = with_moves_of(plan, measuring_plan(axis, dense_steps(axis), []))
     print_plan(axis, plan)
 
 
@@ -139,29 +140,22 @@ def _store_manual(
         )
     tables = manual_tables(axis, args.manual, straightness, backlash)
     if args.dry_run:
-        print(f"axis {axis.name}: would move nothing")
-        print(f"would write {axis.tables_path}")
-        return 0
+        return _print_dry_run_at_rest(axis)
     store = open_store(args, axis, writing=True)
     store.save(Compensation(tables), measured=False)
     return _tell_unproven(args, axis, store, tables)
 
 
+def _print_dry_run_at_rest(axis: AxisConfig) -> int:
+    print(f"axis {axis.name}: would move nothing")
+    print(f"would write {axis.tables_path}")
+    return 0
+
+
 def _withdraw(args: argparse.Namespace, axis: AxisConfig) -> int:
     """Takes the axis's tables out of the sealed file; nothing moves, and no reading password is needed."""
-    others = (
-        "resume",
-        "manual",
-        "straightness",
-        "backlash",
-        "stored",
-        "report",
-        "record",
-        "replay",
-        "new_zero",
-        "dense",
-    )
-    if given := [name for name in (*others, "instrument_zeroed") if getattr(args, name)]:
+    measuring = ("resume", "report", "record", "replay", "new_zero", "instrument_zeroed", "dense")
+    if given := [name for name in ("manual", "straightness", "backlash", "stored", *measuring) if getattr(args, name)]:
         raise InputError(f"--withdraw measures and stores nothing: --{given[0].replace('_', '-')} does not go with it")
     if bound_tables(axis) is None:
         raise InputError("holds no tables of the axis, nothing is in force", path=axis.tables_path)
@@ -197,9 +191,7 @@ def _enter_backlash(args: argparse.Namespace, axis: AxisConfig, backlash: Single
             "--stored measures nothing, so --resume, --report, --record, --replay and --straightness cannot be given with it"
         )
     if args.dry_run:
-        print(f"axis {axis.name}: would move nothing")
-        print(f"would write {axis.tables_path}")
-        return 0
+        return _print_dry_run_at_rest(axis)
     store = open_store(args, axis, writing=True)
     return _tell_unproven(args, axis, store, enter_backlash(store, axis, backlash, alone=False).tables)
 

@@ -6,11 +6,11 @@ import argparse
 
 from hil.axis.axis_file import load_axis
 from hil.calibration.job import run_straightness, straightness_plan
+from hil.effects.user_effects import catalogue_with
 from hil.machine.axes_wiring import connected_across
 from hil.ui.terminal.axis_options import load_cross, load_stored, open_store, print_plan, tell_zero
 from hil.ui.terminal.output import number, print_facts, print_table, write_json
 from hil.ui.terminal.progress import terminal_progress
-from hil.ui.terminal.records_input import read_effects
 
 
 def run(args: argparse.Namespace) -> int:
@@ -23,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
         print(f"to {config.at_mm:g} mm and, with the correction, by micrometres from there")
         return 0
     store, own = open_store(args, axis, writing=True), load_cross(args, axis)
-    present = load_stored(store, read_effects(args.effects)) if store.states() is not None else None
+    present = load_stored(store, catalogue_with(args.effects)) if store.states() is not None else None
     with connected_across(axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
         result = run_straightness(machine, store, present, own, listener, seed=args.seed, resume=args.resume)

@@ -10,6 +10,7 @@ from drivers.files import replace_file
 from hil.axis.axis_file import accuracy_of, load_axis, uncertainty_of
 from hil.calibration.job import band_sentence, run_verification, verification_plan
 from hil.calibration.straightness import straightness_in
+from hil.effects.user_effects import catalogue_with
 from hil.figures.error_figures import error_figures
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget_um
@@ -17,7 +18,6 @@ from hil.ui.terminal.axis_options import load_stored, open_store, print_plan, te
 from hil.ui.terminal.measuring_options import limited, machine_of, recording_name
 from hil.ui.terminal.output import print_facts, write_json
 from hil.ui.terminal.progress import terminal_progress
-from hil.ui.terminal.records_input import read_effects
 from hil.ui.terminal.summary import print_accuracy, print_figures, print_stages
 
 
@@ -31,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
             at = f"{axis.straightness.axis_file.name} at {axis.straightness.at_mm:g} mm"
             print(f"would enable and move the axis of {at} too, where what is stored corrects straightness by it")
         return 0
-    compensation = load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
+    compensation = load_stored(open_store(args, axis, writing=False), catalogue_with(args.effects))
     with machine_of(args, axis, moves_axis=compensation.moves_axis) as machine, terminal_progress() as listener:
         tell_zero(args, machine)
         how = {"seed": args.seed, "resume": args.resume, "recording": recording_name(args)}

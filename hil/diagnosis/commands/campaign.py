@@ -15,9 +15,9 @@ from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign, rep
 from hil.diagnosis.next.design import design, plan_minutes
 from hil.diagnosis.next.planned_run import Means, Point
 from hil.diagnosis.next.plans import to_plan
-from hil.effects.user_effects import attributing_errors, check_on
+from hil.effects.user_effects import attributing_errors, catalogue_with, check_on
 from hil.ui.terminal.output import print_facts, print_table, write_json
-from hil.ui.terminal.records_input import read_effects, read_records
+from hil.ui.terminal.records_input import read_records
 
 
 def run_design(args: argparse.Namespace) -> int:
@@ -36,7 +36,7 @@ def run_design(args: argparse.Namespace) -> int:
 
 def run_check(args: argparse.Namespace) -> int:
     """Prints the gaps. Returns 0: none; 1: some. Raises InputError for bad records."""
-    effects = read_effects(args.effects)
+    effects = catalogue_with(args.effects)
     pitches = (load_axis(args.axis).scaling.feed_mm_per_shaft_rev,) if args.axis else ()
     with attributing_errors(effects):
         try:

@@ -11,9 +11,9 @@ from hil.diagnosis import Diagnosis
 from hil.diagnosis.follow_up import diagnosed
 from hil.diagnosis.job import read_passes
 from hil.diagnosis.pictures import with_plots
-from hil.effects.user_effects import attributing_errors
+from hil.effects.user_effects import attributing_errors, catalogue_with
 from hil.ui.terminal.output import print_facts, print_table, write_json
-from hil.ui.terminal.records_input import read_effects, read_model
+from hil.ui.terminal.records_input import read_model
 
 
 def run(args: argparse.Namespace) -> int:
@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.non_parametric and not args.out:
         raise InputError("--non-parametric is about the extended model, expected --out EXTENDED with it")
-    effects = read_effects(args.effects)
+    effects = catalogue_with(args.effects)
     with attributing_errors(effects):
         declared = read_model(args.model, effects) if args.model else None
         records = read_passes(args.records, args.runs)

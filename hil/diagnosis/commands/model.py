@@ -10,17 +10,17 @@ from drivers.errors import InputError
 from drivers.files import replace_file
 from hil.diagnosis.fitting import fit_model
 from hil.effects.non_parametric import without_cause
-from hil.effects.user_effects import attributing_errors, check_on
+from hil.effects.user_effects import attributing_errors, catalogue_with, check_on
 from hil.effects.warming import goes_beyond_what_was_seen, is_bounded
 from hil.figures.error_figures import rms
 from hil.records.rows import to_csv
 from hil.ui.terminal.output import print_facts, write_json
-from hil.ui.terminal.records_input import read_effects, read_model, read_records
+from hil.ui.terminal.records_input import read_model, read_records
 
 
 def run_fit(args: argparse.Namespace) -> int:
     """Fits and writes the model, prints the residual. Returns 0. Raises InputError for records that cannot be fitted."""
-    known = {effect.id: effect for effect in read_effects(args.effects)}
+    known = {effect.id: effect for effect in catalogue_with(args.effects)}
     for name in args.wanted:
         if name not in known:
             raise InputError(f"--with {name}: there is no such effect; there are {', '.join(known)}")
@@ -58,7 +58,7 @@ def run_fit(args: argparse.Namespace) -> int:
 
 def run_apply(args: argparse.Namespace) -> int:
     """Applies the model and writes the records. Returns 0. Raises InputError where they lack a column that the model needs."""
-    effects = read_effects(args.effects)
+    effects = catalogue_with(args.effects)
     with attributing_errors(effects):
         model = read_model(args.model, effects)
         records = read_records(args.records, args.runs)

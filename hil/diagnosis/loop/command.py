@@ -11,6 +11,7 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration, ExploringRun
 from hil.calibration.job import Verification, run_proof
+from hil.desk.plan import Write, measuring_plan
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
 from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
@@ -18,22 +19,21 @@ from hil.diagnosis.loop.next_run import runs_of
 from hil.diagnosis.loop.procedure import MOST_RUNS, Consent, Loop, Turn, Turning
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.diagnosis.next.plans import read_plan
-from hil.effects.user_effects import attributing_errors
+from hil.effects.user_effects import attributing_errors, catalogue_with
 from hil.figures.verdict import FITTED_PLUS_MINUS, Accuracy
 from hil.machine.conditions import AskedConditions, Conditions
 from hil.machine.measure import bidirectional_steps
-from hil.ui.terminal.axis_options import open_store, print_dry_run, tell_zero
+from hil.ui.terminal.axis_options import open_store, print_plan, tell_zero
 from hil.ui.terminal.measuring_options import limited, machine_of, passes_of, recording_name
 from hil.ui.terminal.output import write_json
 from hil.ui.terminal.progress import terminal_progress
-from hil.ui.terminal.records_input import read_effects
 from hil.ui.terminal.summary import print_accuracy, print_stages
 
 
 def run(args: argparse.Namespace) -> int:
     """Returns 0: the residual is within the noise or explained; 1: not. Raises what `run_loop` raises."""
     axis = limited(load_axis(args.axis), args.limit)
-    effects = read_effects(args.effects)
+    effects = catalogue_with(args.effects)
     plan = runs_of(read_plan(args.plan, axis.limits)) if args.plan else None
     if args.dry_run:
         return _dry_run(args, axis, plan)
@@ -89,7 +89,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _dry_run(args: argparse.Namespace, axis: AxisConfig, plan: list[ExploringRun] | None) -> int:
     steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
-    print_dry_run(axis, steps, [f"rows below {axis.store.directory}", str(axis.tables_path)])
+    writes = [Write("", f"rows below {axis.store.directory}"), Write("tables", str(axis.tables_path))]
+    print_plan(axis, measuring_plan(axis, steps, writes))
     rows = (
         f"the {sum(len(part.steps) for part in plan)} rows of {args.plan}"
         if plan

@@ -6,14 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from hil.axis.axis_file import MeasurementConfig
-from hil.calibration.explore import ExploringRun, explore
-from hil.diagnosis.next.planned_run import Means, PlannedRun, Point
+from hil.calibration.explore import ExploringRun
+from hil.diagnosis.next.planned_run import Means, Point
 from hil.machine.conditions import SET_UP
-from hil.machine.events import Listener, silent
 from hil.machine.measure import Step
 from hil.machine.session import AxisSession
-from hil.records.journal import Campaign
-from hil.records.rows import Records
 
 
 def means_of_measurement(how: MeasurementConfig) -> Means:
@@ -62,10 +59,3 @@ def runs_of(points: Sequence[Point]) -> list[ExploringRun]:
         steps.append(step)
     runs.append(ExploringRun(tuple(steps), first.strokes_s, first.rest_s, first.levels))
     return runs
-
-
-def measure_run(
-    session: AxisSession, campaign: Campaign, name: str, run: PlannedRun, listener: Listener = silent
-) -> Records:
-    """Measures a planned run with the compensation now in force. Raises what `explore` raises."""
-    return explore(session, campaign, name, runs_of(run.points), listener)

@@ -30,7 +30,7 @@ from hil.correction.tables import DirectionalTable, SingleTable, TableSet
 from hil.diagnosis import Diagnosis, Figures, diagnose
 from hil.diagnosis.follow_up import FollowUp, diagnosed, follow_up, ruled_out
 from hil.diagnosis.joining import joined
-from hil.diagnosis.loop.next_run import means_of, measure_run
+from hil.diagnosis.loop.next_run import means_of, runs_of
 from hil.diagnosis.next.next_measurement import DECIDED
 from hil.diagnosis.next.planned_run import PlannedRun
 from hil.effects import ALL, Effect
@@ -328,7 +328,7 @@ def decide(
             return follow, rows, tuple(further)
         further.append(run)
         listener(Event("diagnose", f"next measurement: {run.describe()}"))
-        measured = measure_run(session, campaign, f"next-{len(further)}", run, listener)
+        measured = explore(session, campaign, f"next-{len(further)}", runs_of(run.points), listener)
         parts.append(measured)
         gone = computing(partial(ruled_out, asked, joined(parts), effects=effects))
         effects = tuple(effect for effect in effects if effect.id not in gone)

@@ -13,7 +13,7 @@ from hil.diagnosis.loop.procedure import Loop, Turn
 from hil.diagnosis.pictures import with_plots
 from hil.diagnosis.report.diagnosis import opening, section
 from hil.ui.report.data import NamedCampaign
-from hil.ui.report.document import before_after_image, render_html
+from hil.ui.report.document import render_html
 
 BEFORE, AFTER = STAGE_LABELS["table, explored"], STAGE_LABELS["extended, explored"]
 """The pair that says what the loop reached: terminal, report and picture show it under these names."""
@@ -32,11 +32,6 @@ def loop_report(axis: AxisConfig, loop: Loop, proof: Verification | None = None)
         notes=tuple(_in_motion_notes(loop.in_motion)),
     )
     return render_html(data)
-
-
-def loop_image(loop: Loop) -> bytes:
-    """The axis uncorrected, with its table, explored, and explored with the extended model, as PNG."""
-    return before_after_image(loop_campaigns(loop))
 
 
 def loop_campaigns(loop: Loop) -> tuple[NamedCampaign, ...]:

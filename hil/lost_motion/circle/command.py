@@ -8,13 +8,13 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.compensation import Compensation
 from hil.correction.store import bound_tables
+from hil.effects.user_effects import catalogue_with
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, by_standard
 from hil.lost_motion.circle.job import VERDICT, DrivenCircle, form, middle_of, report_html, run_circle
 from hil.machine.axes_wiring import connected_axes
 from hil.ui.terminal.axis_options import load_stored, open_store, tell_zero
 from hil.ui.terminal.output import number, print_facts, print_table, write_json
 from hil.ui.terminal.progress import terminal_progress
-from hil.ui.terminal.records_input import read_effects
 from hil.ui.terminal.summary import print_paths
 
 MM_MIN = 60.0
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 def _stored(args: argparse.Namespace, axis: AxisConfig) -> Compensation | None:
     if bound_tables(axis) is None:
         return None
-    return load_stored(open_store(args, axis, writing=False), read_effects(args.effects))
+    return load_stored(open_store(args, axis, writing=False), catalogue_with(args.effects))
 
 
 def _print_plan(axes: tuple[AxisConfig, AxisConfig], circle: Circle, args: argparse.Namespace) -> None:

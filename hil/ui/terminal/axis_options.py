@@ -13,10 +13,9 @@ from hil.axis.axis_file import AxisConfig, DriveAxis, load_drive_axis
 from hil.correction import TABLES
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, bound_tables
-from hil.desk.plan import Plan, Write, measuring_plan
+from hil.desk.plan import Plan
 from hil.desk.zero_statement import ZeroStatement
 from hil.effects import ALL, Effect
-from hil.machine.measure import Step
 from hil.ui.terminal.options import KEY, READING
 from hil.ui.terminal.passwords import own_passwords, password
 
@@ -88,11 +87,6 @@ def load_cross(args: argparse.Namespace, axis: AxisConfig) -> Compensation | Non
     if not isinstance(other, AxisConfig) or bound_tables(other) is None:
         return None
     return load_stored(open_store(args, other, writing=False))
-
-
-def print_dry_run(axis: AxisConfig, steps: list[Step], writes: list[str]) -> None:
-    """Print the motions and files of a job that measures these steps."""
-    print_plan(axis, measuring_plan(axis, steps, [Write("", line) for line in writes]))
 
 
 _WRITTEN = {"rows": "rows of each pass below ", "tables": ""}

@@ -11,14 +11,8 @@ from drivers.errors import InputError
 from drivers.files import read_text
 from hil.effects import ALL, Effect
 from hil.effects.model import Model
-from hil.effects.user_effects import catalogue_with
 from hil.records.journal import MARKER, measurement_of, pass_number
 from hil.records.rows import Records, concatenate, read_csv
-
-
-def read_effects(paths: Sequence[str]) -> tuple[Effect, ...]:
-    """The catalogue and the effects of installed packages and of the files. Raises InputError naming the file."""
-    return catalogue_with(paths)
 
 
 def read_records(paths: Sequence[str | Path], runs: tuple[int, ...] | None = None) -> Records:
