@@ -92,19 +92,21 @@ OUTSIDE = {"guest", "browser", "linuxcnc", "vcan"}
 
 
 MARKED = re.compile(rf"mark\.({'|'.join(('outside', *OUTSIDE))})\b|MARKS")
+MARKED_VCAN = re.compile(r"mark\.vcan\b")
 
 
-def may_be_outside(path: Path) -> bool:
+def may_be_outside(path: Path, marked: re.Pattern[str] = MARKED) -> bool:
     """Whether a file's text marks a test so. The rigs that the tests in contract/ share are marked in `support`."""
-    return "contract" in path.parts or MARKED.search(path.read_text(encoding="utf-8")) is not None
+    return "contract" in path.parts or marked.search(path.read_text(encoding="utf-8")) is not None
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """`-m outside` reads the files alone that have such tests: half of them, in each of four processes."""
-    unread = (
-        config.option.markexpr == "outside" and collection_path.name.startswith("test_") and collection_path.is_file()
-    )
-    return True if unread and not may_be_outside(collection_path) else None
+    """`-m outside`, and `-m vcan` of the guest, read the files alone that have such tests: half of them in each of four processes, and
+    ten."""
+    marked = {"outside": MARKED, "vcan": MARKED_VCAN}.get(config.option.markexpr)
+    if marked is None or not collection_path.name.startswith("test_") or not collection_path.is_file():
+        return None
+    return None if may_be_outside(collection_path, marked) else True
 
 
 @pytest.hookimpl(tryfirst=True)  # before -m selects
