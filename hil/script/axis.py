@@ -61,7 +61,7 @@ class Axis:
 
     @property
     def first_run(self) -> int:
-        """The first run that a procedure has to measure: 1, or after an interruption the run that was interrupted."""
+        """The first run that a procedure has to measure: 1, or the one that was interrupted."""
         return self._first_run
 
     def __repr__(self) -> str:

@@ -13,8 +13,7 @@ from hil.script import names
 PAGE = Path(__file__).parents[2] / "hil/docs/api.md"
 HEAD = """# The names of `import hil`
 
-How to use them: [scripts](scripts.md). An argument is shown with its default, or else with its type. `python tests/study/api_page.py`
-writes this page.
+How to use them: [scripts](scripts.md). An argument is shown with its default, or else with its type.
 """
 ALIKE = ("form", "sentence", "records", "raw", "axis", "certificate")
 """Members that say the same of every result; they are described once, at the base class."""
