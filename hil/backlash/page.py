@@ -103,7 +103,7 @@ def _draw_buttons(view: View) -> Refresh:
     t, desk = view.t, view.desk
     how = backlash.backlash_config(desk.axis)
     fastest = desk.axis.limits.max_velocity_mm_s
-    with ui.row().classes("items-end no-wrap w-full"):
+    with ui.row().classes("items-end no-wrap full-width"):
         speed = ui.number(t("backlash.speed"), value=how.velocity_mm_s, min=0.01, max=fastest)
         runs = ui.number(t("backlash.runs"), value=how.runs, min=1, max=100, precision=0)
         view.named(speed, "backlash.speed")

@@ -61,7 +61,7 @@ def _draw_diagnosis(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
             parts.append(_draw_verdict(view, kept))
             with view.card("diagnosis.residual", name="diagnosis.residual.card"):
                 residual = Drawing(view, "diagnosis.residual", empty="diagnosis.none_yet")
-    found = view.named(ui.element("div").classes("w-full"), "diagnosis.findings")
+    found = view.named(ui.element("div").classes("full-width"), "diagnosis.findings")
     parts.append(_draw_rest(view, kept))
     drawn: list[ShownDiagnosis | None] = []
 
@@ -105,7 +105,7 @@ def _draw_choice(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
     messages = view.named(ui.label().classes("hil-note bad"), "diagnosis.messages")
     with view.card("diagnosis.campaign", name="diagnosis.choice"):
         select = ui.select({}, on_change=lambda event: choose(event.value)).props("dense options-dense")
-        view.named(select.classes("w-full"), "diagnosis.campaign")
+        view.named(select.classes("full-width"), "diagnosis.campaign")
         status = view.named(ui.label().classes("hil-name"), "diagnosis.status")
         bar = ui.linear_progress(show_value=False, size="9px", color=None).props("indeterminate")
         view.named(bar, "diagnosis.progress")

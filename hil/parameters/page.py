@@ -105,7 +105,7 @@ def _draw_choice(view: View, stored: Reading[Stored]) -> ui.select:
     axis = view.desk.axis
     with ui.element("div").classes("hil-set"):
         choice = ui.select({}, label=view.t("parameters.file")).props("dense options-dense")
-        view.named(choice.classes("w-full"), "parameters.file")
+        view.named(choice.classes("full-width"), "parameters.file")
         brought: list[str] = []
 
         async def bring(event: events.UploadEventArguments) -> None:

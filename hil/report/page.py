@@ -33,8 +33,8 @@ def draw(view: View) -> None:
         view.named(ui.label(view.t("reports.no_instrument")).classes("hil-note"), "reports.no_instrument")
         return
     kept: Kept = Reading(view, lambda: reports_screen(axis.store.directory, axis.name))
-    above = ui.element("div").classes("w-full")  # a long list leaves the buttons in the window
-    with view.card("reports.campaigns", name="reports.campaigns.card").classes("w-full"):
+    above = ui.element("div").classes("full-width")  # a long list leaves the buttons in the window
+    with view.card("reports.campaigns", name="reports.campaigns.card").classes("full-width"):
         table = _table(view)
     with above:
         parts = [_draw_buttons(view, kept, table), _fill(view, kept, table)]
@@ -159,7 +159,7 @@ def _draw_file(view: View, number: int, one: ReportFile) -> None:
     t, axis = view.t, view.desk.name
     with (
         ui.row()
-        .classes("items-center w-full no-wrap hil-nav")
+        .classes("items-center full-width no-wrap hil-nav")
         .style("border-bottom: 1px solid var(--line); min-height: 52px")
     ):
         with ui.element("div").style("flex: 1"):

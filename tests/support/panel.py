@@ -168,7 +168,7 @@ class Person:
                 failed = error
             if time.monotonic() > deadline:
                 raise TimeoutError(f"not within {within_s:g} s: {what}") from failed
-            time.sleep(0.05)
+            time.sleep(0.1)  # each question costs browser and driver 10 ms of the processor
 
     def waits_to_read(self, name: str, text: str) -> None:
         self.waits(lambda: self.reads(name) == text, f"{name} says {text!r}")

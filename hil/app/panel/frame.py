@@ -42,7 +42,7 @@ def _draw_lost(view: View) -> None:
 def _draw_no_font(view: View) -> None:
     """Say that Chinese was asked for, which this browser's computer cannot draw."""
     if view.browser.undrawn:
-        view.named(ui.label(view.t("language.undrawn")).classes("hil-note w-full"), "no-font")
+        view.named(ui.label(view.t("language.undrawn")).classes("hil-note full-width"), "no-font")
 
 
 def _draw_stop(view: View) -> None:
@@ -64,7 +64,7 @@ def draw_question(view: View) -> None:
         if shown[0] is not None:
             desk.answer(view.token, shown[0].number, yes=yes)
 
-    with view.named(ui.element("section").classes("hil-card hil-ask w-full"), "ask") as card:
+    with view.named(ui.element("section").classes("hil-card hil-ask full-width"), "ask") as card:
         words = view.named(ui.label().style("font-size: 1.4rem"), "ask.words")
         wait = view.named(ui.label(), "ask.wait")
         elsewhere = view.named(ui.label(t("ask.elsewhere")), "ask.elsewhere")

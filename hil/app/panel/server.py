@@ -175,7 +175,7 @@ def application(desks: Sequence[Desk], language: str, all_pages: Sequence[Page])
     ui.add_head_html(f'<link rel="stylesheet" href="{STATIC}/panel.css">', shared=True)
     ui.add_head_html(f'<script src="{STATIC}/panel.js"></script>', shared=True)
     # a browser that reconnects within this time keeps its page; later it loads the page again
-    ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=30.0)
+    ui.run_with(app, title="hil", show_welcome_message=False, reconnect_timeout=30.0, tailwind=False)
     return app
 
 

@@ -259,7 +259,7 @@ def _areas(band: Band, screen: CalibrationScreen) -> list[list[Options]]:
 def draw_figures(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     """The figures of ISO 230-2, each with its uncertainty where known."""
     t = view.t
-    with view.card("calibrate.figures", name="calibrate.figures.card").classes("w-full"):
+    with view.card("calibrate.figures", name="calibrate.figures.card").classes("full-width"):
         columns = ["calibrate.head.figure", *(f"calibrate.stage.{name}" for name in STAGES)]
         table = Table(view, "calibrate.figures", columns)
         known = "calibrate.uncertain" if axis.uncertainty is not None else "calibrate.not_uncertain"

@@ -162,7 +162,7 @@ class TypedTables:
         key = f"calibrate.manual.{name}"
         with ui.element("div"):
             ui.label(self._view.t(key)).classes("hil-name")
-            area = ui.textarea(value=text).props("outlined").classes("w-full")
+            area = ui.textarea(value=text).props("outlined").classes("full-width")
             self._areas[name] = self._view.named(area, key)
 
     def _stored(self) -> dict[str, Part]:
