@@ -218,8 +218,7 @@ class SdoClient:
         self.link.send(SDO_REQUEST + self.node_id, frame)
 
     def send_at_once(self, entry: Entry, value: int) -> None:
-        """Write a number of up to four bytes without waiting for the answer. For a stop, and for what lets a drive go into a fault if
-        it is late: from any thread, and from a signal handler.
+        """Write a number of up to four bytes without waiting for the answer. For a stop: from any thread, and from a signal handler.
 
         A transfer in progress on this channel is aborted first, as a server in the middle of one may take the frame for a part of it;
         the call that waits for that transfer gets a StateError. Raises LinkLostError.

@@ -190,12 +190,15 @@ class CyclicStream(SetPointStream):
         """The drives stop supervising SYNC, SYNC stops, every axis is given back; every step is tried, see `undo_all`."""
         self._running = False
         taken = [(drive, axis) for drive, axis in zip(self._drives, self._axes, strict=True) if axis.taken]
+        held = ExitStack()
         with ExitStack() as stack:
             for drive, _ in taken:
                 stack.enter_context(drive.way_out.step(last=False))
             undo_all(
                 [
+                    ("", partial(self._sync_until_free, held)),
                     ("", partial(_unwatch_sync, self.link, [axis for _, axis in taken])),
+                    ("", held.close),
                     ("", partial(self.link.unsubscribe, SYNC, self._on_sync)),
                     *(("", partial(self._give_back, drive, axis)) for drive, axis in taken),
                     ("", partial(self.link.sync.release, self)),
@@ -203,6 +206,20 @@ class CyclicStream(SetPointStream):
                 during=error,
                 interrupted=self._send_stops,
             )
+
+    def _sync_until_free(self, held: ExitStack) -> None:
+        """Where drives supervise SYNC, send it while another thread is in the middle of an SDO access: before that is over they cannot
+        be told that SYNC ends. Then no other thread begins an access until `held` is closed."""
+        if all(axis.sync_period_before is None for axis in self._axes):
+            return
+        talking, clock = self.link.talking, self.clock
+        while not talking.acquire(timeout=max(0, self.reached_ns - clock.now_ns()) / NS_PER_S):
+            clock.check_interrupt()
+            clock.sleep_until_ns(self.reached_ns)  # returns at once where waiting for the lock advances the clock
+            with suppress(LinkLostError):
+                self.link.send_message(self._sync_message)
+            self.reached_ns = max(self.reached_ns, clock.now_ns()) + self._period_ns
+        held.callback(talking.release)
 
     def _give_back(self, drive: StoppableNode, axis: Axis) -> None:
         """Restore the PDOs, and profile position unless it was stopped; an axis that cannot be restored is disabled."""
@@ -335,22 +352,11 @@ class CyclicStream(SetPointStream):
 
 
 def _unwatch_sync(link: CanLink, axes: Sequence[Axis]) -> None:
-    """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h).
-
-    Where another thread is in the middle of an SDO access they are told without waiting for it, and again when it is their turn.
-    """
+    """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h)."""
     watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
     for axis, _ in watching:
         axis.sync_period_before = None
-    free = link.talking.acquire(blocking=False)
-    try:
-        for axis, before in () if free else watching:
-            with suppress(LinkLostError):
-                axis.node.sdo.send_at_once(cia301.SYNC_PERIOD, before)
-        errors = CanLine(link).run([axis.node.sdo.putting(cia301.SYNC_PERIOD, before) for axis, before in watching])
-    finally:
-        if free:
-            link.talking.release()
+    errors = CanLine(link).run([axis.node.sdo.putting(cia301.SYNC_PERIOD, before) for axis, before in watching])
     undo_all(
         [
             (f"drive {axis.node.name}: 1006h not put back", partial(_fail, error))

@@ -327,29 +327,55 @@ def test_leaving_a_stream_is_done_to_the_end_whatever_fails(bus: Bus, pair: tupl
         drive.start_move(3.0, 50.0)
 
 
+BUFFER, TEXT = (0x2100, 0), bytes(range(70))
+
+
 @pytest.mark.parametrize("error", [None, StateError("ended")], ids=["clean", "stop"])
-def test_an_access_of_another_thread_does_not_let_the_drives_miss_sync(
-    bus: Bus, pair: tuple[CanOpenDrive, CanOpenDrive], monkeypatch: pytest.MonkeyPatch, error: StateError | None
+@pytest.mark.parametrize("data", [b"", TEXT[:4], TEXT], ids=["read", "write", "long write"])
+def test_a_transfer_of_another_thread_at_the_end_of_a_stream(
+    bus: Bus,
+    pair: tuple[CanOpenDrive, CanOpenDrive],
+    monkeypatch: pytest.MonkeyPatch,
+    data: bytes,
+    error: StateError | None,
 ) -> None:
-    """Who accesses objects holds the link's `talking`, for as long as that takes; a drive waits five periods for SYNC (8700h)."""
-    stream, link, told, sent = _streaming(*pair), pair[0].link, threading.Event(), set[int]()
-    send = link.bus.send
+    """It takes ten periods; without SYNC a drive goes into a fault after five (8700h). A stop breaks it off."""
+    stream, (x, _) = _streaming(*pair), pair
+    begun, ten_periods, ended = threading.Event(), threading.Event(), threading.Event()
+    send, got = x.link.bus.send, list[object]()
 
     def sending(message: can.Message, timeout: float | None = None) -> None:
+        """Simulated time passes in one thread at a time: in the one that leaves the stream until ten SYNCs are sent, then in this."""
         send(message, timeout)
-        if message.arbitration_id & 0x780 == 0x600 and message.data[1:3] == b"\x06\x10":
-            sent.add(message.arbitration_id & 0x7F)
-            if sent == {X, Y}:
-                told.set()
+        if threading.current_thread() is accessing and not begun.is_set():
+            begun.set()
+            if not ten_periods.wait(5.0):
+                bus.clock.sleep_s(0.1)
+        elif threading.current_thread() is not accessing and len(bus.syncs) >= before + 10:
+            ten_periods.set()
+            ended.wait(5.0)
 
-    monkeypatch.setattr(link.bus, "send", sending)
-    leaving = threading.Thread(target=stream.__exit__, args=(error and type(error), error, None))
-    with link.talking:
-        leaving.start()
-        in_time = told.wait(5.0)  # simulated time stands still meanwhile
-        bus.clock.sleep_s(0.2)
-    leaving.join()
-    assert in_time
+    def access() -> None:
+        try:
+            got.append(x.sdo.write_bytes(*BUFFER, data) if data else x.sdo.read_bytes(*BUFFER))
+        except BridgeError as broken_off:
+            got.append(broken_off)
+        ended.set()
+
+    accessing = threading.Thread(target=access)
+    bus.bench.slaves[X].dictionary.set_raw(BUFFER, b"" if data else TEXT)
+    before = len(bus.syncs)
+    monkeypatch.setattr(x.link.bus, "send", sending)
+    accessing.start()
+    assert begun.wait(5.0)
+    stream.__exit__(error and type(error), error, None)
+    accessing.join()
+    if error is None:
+        assert got == [None if data else TEXT]
+        assert bus.bench.slaves[X].dictionary.raw(BUFFER) == (data or TEXT)
+    else:
+        assert [type(each) for each in got] == [StateError]
+        assert "broken off by a stop" in str(got[0])
     for node_id in (X, Y):
         slave = bus.bench.slaves[node_id]
         assert slave.dictionary.number(*SYNC_PERIOD) == 0
