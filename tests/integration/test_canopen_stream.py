@@ -245,6 +245,20 @@ def test_a_few_late_answers_are_counted_and_lived_with(stack: ExitStack, kind: C
         assert stream.cycles == 600
 
 
+def test_the_first_cycle_without_feedback_finds_the_axis_where_it_stands(stack: ExitStack) -> None:
+    rig = _rig(stack, 1, faults={1: [CanFault(K.TPDO_LATE, size=0.0009)]})
+    (drive,) = rig.drives
+    drive.start_move(3.0, 100.0)
+    drive.wait_for(lambda sample: sample.target_reached, 5.0, "arrived")
+    with CyclicStream(rig.drives, SetPointSettings(0.001)) as stream:
+        entered_ns = rig.bench.clock.now_ns()
+        stream.cycle([3.0])
+        ((seen_ns, place_mm),) = stream.found
+    assert stream.late_feedback == 1
+    assert place_mm == pytest.approx(3.0, abs=1e-3)
+    assert entered_ns - 20_000_000 < seen_ns <= entered_ns
+
+
 def test_a_host_that_is_late_now_and_then_is_counted(stack: ExitStack) -> None:
     rig = _rig(stack, 1)
     with CyclicStream(rig.drives, SetPointSettings(0.001, missed_limit=3)) as stream:
