@@ -107,8 +107,9 @@ class PacedStream(SetPointStream):
     def _check_period(self) -> None:
         """Raise InputError for one that is too short for a drive, or for all of them one after the other."""
         period_s, names = self.settings.period_s, ", ".join(drive.name for drive in self._drives)
-        needs = [(f"drive {drive.name}", drive.least_period_s, "the drive needs") for drive in self._drives]
-        needs.append((f"stream of {names}", sum(drive.cycle_s() for drive in self._drives), "the wire needs"))
+        needs = [(f"drive {drive.name}", drive.least_period_s, "its register map requires") for drive in self._drives]
+        cycle_s = sum(drive.cycle_s() for drive in self._drives)
+        needs.append((f"stream of {names}", cycle_s, "set-points and answers take"))
         for who, least_s, what in needs:
             if period_s < least_s:
                 raise InputError(f"{who}: stream period is {1e3 * period_s:g} ms, {what} {1e3 * least_s:.3g} ms")

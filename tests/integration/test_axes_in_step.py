@@ -69,7 +69,9 @@ def test_axes_on_one_line_need_its_time_one_after_the_other(tmp_path: Path) -> N
         with drives[0].stream(SetPointSettings(0.02)) as stream:
             stream.cycle([drives[0].sample().position_load_mm])
         with (
-            pytest.raises(InputError, match=r"stream of X, Y: stream period is 20 ms, the wire needs 28\.3 ms"),
+            pytest.raises(
+                InputError, match=r"stream of X, Y: stream period is 20 ms, set-points and answers take 28\.3 ms"
+            ),
             drives[0].stream(SetPointSettings(0.02), drives[1:]),
         ):
             pytest.fail("entered")

@@ -368,7 +368,7 @@ def test_a_drive_that_starts_on_its_target_gets_it_last(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("period_s", "serial", "who"),
-    [(0.009, False, "the drive needs 10 ms"), (0.011, True, "the wire needs 1")],
+    [(0.009, False, "its register map requires 10 ms"), (0.011, True, "set-points and answers take 1")],
 )
 def test_a_period_that_cannot_be_kept_is_refused_before_anything_is_written(
     period_s: float, serial: bool, who: str
@@ -392,7 +392,10 @@ def test_a_period_is_held_against_the_time_that_the_drive_takes_to_answer(monkey
             return exchange(*request)  # type: ignore[arg-type]
 
         monkeypatch.setattr(PymodbusWire, "exchange", late)
-        with pytest.raises(InputError, match="the wire needs 40 ms"), drive.stream(SetPointSettings(0.039)):
+        with (
+            pytest.raises(InputError, match="set-points and answers take 40 ms"),
+            drive.stream(SetPointSettings(0.039)),
+        ):
             pytest.fail("entered")
         with drive.stream(SetPointSettings(0.041)) as stream:
             for step in range(20):
