@@ -77,7 +77,7 @@ ROOMS = {
         (f"{UNIT}/probe/test_runout.py", f"{UNIT}/probe/test_runout_store.py"),
     ),
     "backlash": Room(
-        (*(f"hil/backlash/{name}.py" for name in ("trace", "fitted", "result")), "hil/axis/backlash.py"),
+        (*(f"hil/backlash/{name}.py" for name in ("trace", "torque_fit", "result")), "hil/axis/backlash.py"),
         (f"{UNIT}/backlash", f"{UNIT}/axis/test_axis_backlash.py"),
     ),
     "lost_motion": Room(
@@ -659,7 +659,10 @@ def run(given: argparse.Namespace) -> None:
     for name in given.rooms or ROOMS:
         room = ROOMS[name]
         children = Children(given.jobs, 10.0 + 4.0 * warm_up(room.tests, given.quick))
-        paths = sorted(p for pattern in room.modules for p in ROOT.glob(pattern) if given.only in str(p))
+        found = {pattern: sorted(ROOT.glob(pattern)) for pattern in room.modules}
+        if gone := [pattern for pattern, paths in found.items() if not paths]:
+            raise SystemExit(f"room {name}: no module {', '.join(gone)}")
+        paths = sorted(path for several in found.values() for path in several if given.only in str(path))
         chosen = [key for path in paths for key, _ in mutants_of(path)[1]]
         if given.sample and given.sample < len(chosen):
             chosen = random.Random(given.seed).sample(chosen, given.sample)

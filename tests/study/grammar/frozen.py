@@ -1,7 +1,7 @@
 """The frozen judge of two engines: outcomes of machines, one JSON line each, written as they come with the lots in turn,
 and two such files side by side on the machines that both have.
 
-`python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10770 --machines 200` goes on where OUT ends;
+`python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10900 --machines 50` goes on where OUT ends;
 `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl`;
 `python tests/study/grammar/frozen.py page` writes `hil/docs/diagnosis_lots.md`.
 
@@ -126,14 +126,12 @@ KINDS: dict[str, tuple[tuple[str, ...], str]] = {
 HEAD = """# The lots of simulated machines
 
 Written by `python tests/study/grammar/frozen.py page` from `tests/study/grammar/outcomes`. A generator that shares no code with the
-diagnosis draws the machines, from seed 810700 on. Nobody had looked at a machine before it was judged. Four things have changed since:
-a wave along the travel that no other column changes is no remainder (seeds from 810770 on were judged so); effects are ranked beside
-one memory of the noise and no smoother table; they replace a remainder only while they gain what is missing. Seeds up to 810717 were
-judged again with the present code; they had helped to decide the last two. Of these 126 machines one, a clean one, is no longer right.
+diagnosis draws the machines, from seed 810700 on. All were judged with the present search. Those up to 810797 had been judged before
+with an earlier one, and 810700 to 810717 helped to decide on changes. Nobody had looked at the others.
 
 | Command | What it does |
 |---|---|
-| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10770` | adds machines; `--lot` chooses one lot |
+| `python tests/study/grammar/frozen.py run OUT.jsonl --seeds reporting --first 10900` | adds machines; `--lot` chooses one lot |
 | `python tests/study/grammar/frozen.py compare OLD.jsonl NEW.jsonl` | compares two such files |
 | `python tests/study/comparison.py --machines 63 --seeds reporting --first 8780` | compares with BIC, lasso, STLSQ and trees |
 | `python tests/study/drawn.py` | 40 machines that somebody else drew |
