@@ -137,6 +137,9 @@ def follow_up(
         except InputError:  # too few rows to weigh anything
             findings.append(finding)
             continue
+        if not any(cause.id == finding.effect and cause.gain > 0.0 for cause in look.causes):
+            findings.append(finding)  # these rows show nothing of it, as of a cycle that a table of their own holds
+            continue
         findings.append(_with_rivals(finding, look, rows.columns))
         if findings[-1].rivals and not look.decided:
             undecided.append(finding.effect)

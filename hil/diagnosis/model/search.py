@@ -16,8 +16,8 @@ from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import Rows
 
 MOST_PARTS = 6
-NEAR = 8.0
-"""Log odds below the best candidate down to which others are followed."""
+LEAST_RISE = 0.1
+"""Log odds by which a change of the parts must raise what they are worth: so the changes end."""
 FEWEST_RUNS = 3
 """Runs from which a function of the place must show in more than one of them."""
 REFINED, FOLLOWED = (8, 3), (6, 2)
@@ -81,10 +81,10 @@ class Search:
         return [(part, fit.noise) for part in self.catalogue.remainder.best(fit)]
 
     def _effects(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
-        """The effects that come near the best, each in its likeliest forms."""
-        near = [self._refined(one) for one in _nearest(self.catalogue.ranked(self._fits(parts)), *REFINED)]
+        """The likeliest effects, each in its likeliest forms."""
+        near = [self._refined(one) for one in _first(self.catalogue.ranked(self._fits(parts)), *REFINED)]
         near += [_as_good_as(one, rich) for one in near for rich in self.catalogue.richer(one.part, one.fit)]
-        best = _nearest(sorted(near, key=lambda one: -one.gain), *FOLLOWED)
+        best = _first(sorted(near, key=lambda one: -one.gain), *FOLLOWED)
         return [(self._refined(one).part, one.fit.noise) for one in best]
 
     def _refined(self, one: Ranked) -> Ranked:
@@ -174,15 +174,16 @@ class Search:
                 return current
             current = self._needed(changed)
 
-    def _worth(self, parts: Sequence[Part]) -> float:
-        """What a change of the parts must raise: log evidence, of which each part costs what it must be worth."""
-        return self.log_p(parts) - USUAL.named * len(parts)
+    def _rises(self, parts: Sequence[Part], before: Sequence[Part]) -> bool:
+        """Whether other parts are worth more: log evidence, of which each part costs what it must be worth."""
+        cost = USUAL.named * (len(parts) - len(before))
+        return self.log_p(parts) - cost > self.log_p(before) + LEAST_RISE
 
     def _needed(self, parts: tuple[Part, ...]) -> tuple[Part, ...]:
         """The parts without those that are not worth it beside the others."""
         for part in parts:
             others = _without(parts, part)
-            if part not in self.kept and self._worth(others) > self._worth(parts):
+            if part not in self.kept and self._rises(others, parts):
                 return self._needed(others)
         return parts
 
@@ -193,9 +194,11 @@ class Search:
         if together is not None:
             return together
         for best in self.alternatives(others)[:2]:
-            if best.log_p > self.log_p(parts) and not self.rests_on_few(others, best):
-                trial = (*others, best.part)
-                return trial if self.log_p(trial) > self.log_p(parts) else None
+            trial = (*others, best.part)
+            if best.log_p <= self.log_p(parts) or self.rests_on_few(others, best):
+                continue
+            if self._rises(trial, parts):
+                return trial
         return None
 
     def _effects_instead(self, others: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
@@ -214,7 +217,7 @@ class Search:
             for trial in (current, tuple(one for one in current if one in others or not _is_flexible(one))):
                 if part not in trial and self.log_p(trial) > self.log_p(parts):
                     needed = self._needed(trial)
-                    if self._worth(needed) > self._worth(parts):
+                    if self._rises(needed, parts):
                         return needed
         return None
 
@@ -223,12 +226,12 @@ def _without(parts: tuple[Part, ...], part: Part) -> tuple[Part, ...]:
     return tuple(one for one in parts if one is not part)
 
 
-def _nearest(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:
-    """Those that come near the first, of each effect the likeliest."""
+def _first(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:
+    """Of candidates, the best first, so many, and so many of one effect."""
     found: list[Ranked] = []
     for one in ranked:
         mine = sum(other.part.name == one.part.name for other in found)
-        if one.gain > ranked[0].gain - NEAR and mine < of_one and len(found) < most:
+        if mine < of_one and len(found) < most:
             found.append(one)
     return found
 
