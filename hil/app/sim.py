@@ -160,11 +160,7 @@ def _run(
             drive = {**drive, "like": str(args.like.resolve())}
         if getattr(args, "axis_file", None):
             instrument = instrument_text(args.kind, bench.laser_path)
-            name = re.sub(
-                r"[^A-Za-z0-9_.-]", "_", Path(args.axis_file).stem
-            )  # so that its campaigns have a folder of their own
-            if args.like is not None:
-                name = f"{args.like.resolve().name.removesuffix('-campaign')}-like"
+            name = _axis_name(args)  # its campaigns have a folder of their own
             text = axis_text(bench.parameters, drive or {}, instrument, counts_per_rev, name)
             replace_file(args.axis_file, text.encode())
             campaigns = load_drive_axis(args.axis_file).store.directory
@@ -195,6 +191,13 @@ def _run(
         "position_mm": bench.plant.position_mm,
     }
     print(json.dumps({"left": left}), flush=True)
+
+
+def _axis_name(args: argparse.Namespace) -> str:
+    """The name of the file or of the likeness's axis, as a name of at most 64 characters."""
+    likeness = None if args.like is None else args.like.resolve().name.removesuffix("-campaign")
+    name = re.sub(r"\A[.-]|[^A-Za-z0-9_.-]", "_", likeness or Path(args.axis_file).stem)[:59]
+    return name if likeness is None else f"{name}-like"
 
 
 @contextmanager

@@ -24,7 +24,10 @@ class Rows:
     @classmethod
     def of(cls, readings: Iterable[AxisReading], run: int = 1) -> Rows:
         """Rows of the readings with a position of the instrument, for `hil diagnose`. Raises InputError where none has one."""
-        rows = [one.row(run) for one in readings if one.instrument_mm is not None]
+        given = list(readings)
+        if not given:
+            raise InputError("there are no readings, expected one or more")
+        rows = [one.row(run) for one in given if one.instrument_mm is not None]
         if not rows:
             raise InputError("no reading has a position of the instrument, expected home() before it")
         names = [name for name in rows[0] if all(name in row for row in rows)]

@@ -62,6 +62,7 @@ UNITS: Mapping[str, str] = MappingProxyType(
         "ms": r"\milli\second",
         "µm/K": r"\micro\metre\kelvin\tothe{-1}",
         "µm/m": r"\micro\metre\metre\tothe{-1}",
+        "µm/mm": r"\micro\metre\milli\metre\tothe{-1}",
         "µm/m²": r"\micro\metre\metre\tothe{-2}",
         "µm/kg": r"\micro\metre\kilogram\tothe{-1}",
         "µm/%": r"\micro\metre\percent\tothe{-1}",

@@ -103,5 +103,5 @@ __all__ = [
 ]
 
 for _name in __all__:
-    if isinstance(globals()[_name], type):
-        globals()[_name].__module__ = "hil"  # as a script knows it, in a traceback and in its help
+    if _name.endswith("Error"):
+        globals()[_name].__module__ = "hil"  # as a script catches it, in a traceback

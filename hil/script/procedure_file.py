@@ -6,11 +6,10 @@ import argparse
 import ast
 import inspect
 import math
-from collections import ChainMap
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 from drivers.errors import InputError
 from drivers.files import read_text
@@ -115,8 +114,7 @@ def parameters_of(procedure: type[Procedure]) -> tuple[Parameter, ...]:
     """The declared parameters. Raises InputError, naming file and line, for a type that no word of a command line becomes, and for
     a default that is not of its type."""
     try:
-        own = [one for one in reversed(procedure.__mro__) if one is not Procedure]
-        hints = ChainMap(*(inspect.get_annotations(one, eval_str=True) for one in own))
+        hints = get_type_hints(procedure)
     except (NameError, TypeError) as error:
         what = f"{procedure.__name__} has a parameter of an unknown type: {in_short(error)}"
         raise InputError(what, path=shown_file(procedure), line=class_line(procedure)) from error

@@ -110,6 +110,15 @@ def test_an_axis_file_that_is_there_is_left_alone(tmp_path: Path, capfd: pytest.
     assert "exists already" in capfd.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("stem", "name"), [("-2", "_2"), (".bench", "_bench"), ("Achse 1", "Achse_1"), ("long" * 20, ("long" * 20)[:59])]
+)
+def test_an_axis_file_of_any_name_is_one_that_can_be_read(stem: str, name: str, tmp_path: Path) -> None:
+    path = tmp_path / f"{stem}.toml"
+    assert main(["sim", "modbus", "--pty", "--laser", "--for", "0.05", "--axis-file", str(path)]) == 0
+    assert load_axis(path).name == name
+
+
 def test_it_ends_by_itself_after_the_seconds_asked_for(capfd: pytest.CaptureFixture[str]) -> None:
     assert main(["sim", "drive", "--interface", "slcan-pty", "--laser", "--for", "0.1"]) == 0
     first, last = map(json.loads, capfd.readouterr().out.splitlines())

@@ -191,17 +191,20 @@ def _varies(values: Floats) -> bool:
 
 UNITS = {
     "_um_s2_per_mm2": "µm·s²/mm²", "_um_per_percent": "µm/%", "_um_per_kg": "µm/kg", "_um_per_m2": "µm/m²", "_um_per_m": "µm/m",
-    "_um_per_k": "µm/K", "_um_per_c": "µm/°C", "_ppm_per_k": "ppm/K", "_ppm_k": "ppm/K", "_ppm": "ppm", "_mm_s": "mm/s", "_mm": "mm",
-    "_um": "µm", "_urad": "µrad", "_rad": "rad", "_deg": "°", "_ms": "ms", "_s": "s", "_c": "°C", "_hpa": "hPa", "_percent": "%",
-    "_kg": "kg", "_rows": "rows", "phase": "rad",
+    "_um_per_mm": "µm/mm", "_um_per_k": "µm/K", "_um_per_c": "µm/°C", "_ppm_per_k": "ppm/K", "_ppm_k": "ppm/K", "_ppm": "ppm",
+    "_mm_s": "mm/s", "_mm": "mm", "_um": "µm", "_urad": "µrad", "_rad": "rad", "_deg": "°", "_ms": "ms", "_s": "s", "_c": "°C",
+    "_hpa": "hPa", "_percent": "%", "_kg": "kg", "_rows": "rows",
 }  # fmt: skip
 """Unit by the end of the name of a column or of an effect's parameter; the longest end decides."""
 
 
 def with_unit(name: str) -> tuple[str, str]:
-    """A name without its unit, and the unit, "" for none."""
+    """A name without its unit, and the unit, "" for none and for a quotient that is not in `UNITS`, which keeps its whole name."""
+    if name == "phase":
+        return name, "rad"
     ending = max((one for one in UNITS if name.endswith(one)), key=len, default="")
-    return name.removesuffix(ending) or name, UNITS.get(ending, "")
+    stem = name.removesuffix(ending) or name
+    return (name, "") if stem.endswith("_per") else (stem, UNITS.get(ending, ""))
 
 
 def label_of(column: str, unit: object = None) -> str:

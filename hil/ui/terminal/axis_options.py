@@ -99,12 +99,11 @@ def print_plan(axis: AxisConfig, plan: Plan) -> None:
 
         check_registers(axis)
     homing = "home it, " if plan.homes else ""
-    if plan.moves:
+    reach = plan.reach_mm
+    if reach is not None:
         print(f"axis {plan.axis} over {plan.backend}: would enable it, {homing}take the datum at {plan.datum_mm:g} mm")
-        for velocity in sorted({move.velocity_mm_s for move in plan.moves}):
-            moves = [move for move in plan.moves if move.velocity_mm_s == velocity]
-            low, high = min(move.low_mm for move in moves), max(move.high_mm for move in moves)
-            print(f"would move between {low:.3f} and {high:.3f} mm (corrections come on top) at {velocity:g} mm/s")
+        speeds = " and ".join(f"{velocity:g}" for velocity in sorted({move.velocity_mm_s for move in plan.moves}))
+        print(f"would move between {reach[0]:.3f} and {reach[1]:.3f} mm (corrections come on top) at {speeds} mm/s")
         if plan.positions:
             print(f"would capture {plan.positions} positions, {plan.at_rest_s:g} s at rest each")
         if plan.travel_s:

@@ -339,6 +339,10 @@ def test_circle_and_probe_by_hand(place: Path) -> None:
     assert views.with_unit("alpha_ppm_per_k") == ("alpha", "ppm/K")
     assert views.with_unit("slope_um_per_m") == ("slope", "µm/m"), "neither of no unit nor in m"
     assert views.with_unit("compliance_um_per_kg") == ("compliance", "µm/kg")
+    assert views.with_unit("gain_um_per_mm") == ("gain", "µm/mm")
+    for name in ("slope_um_per_hpa", "drift_um_per_s", "load_phase"):
+        assert views.with_unit(name) == (name, ""), "a part of a name that is no unit of it"
+    assert {views.label_of("load_phase"), views.label_of("phase")} == {"Load phase", "Phase, rad"}
     assert set(views.UNITS.values()) - {"hPa"} <= set(UNITS)
 
 

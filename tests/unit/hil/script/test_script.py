@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import pickle
 import subprocess
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import get_type_hints
 
 import numpy as np
 import pytest
@@ -28,6 +30,7 @@ from drivers.drive import DriveState
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
 from hil.records.rows import read_csv
+from hil.script import names
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space
 
@@ -70,6 +73,8 @@ def test_positions_with_motor_and_instrument_become_rows_for_the_diagnosis(path:
         rows = hil.Rows.of(readings) + hil.Rows.of(watched, run=2)
         with pytest.raises(hil.InputError, match="no reading has a position of the instrument"):
             hil.Rows.of(watched[-1:])
+        with pytest.raises(hil.InputError, match="there are no readings"):
+            hil.Rows.of([])
         axis.disable()
         assert not enabled(axis)
     assert [one.motor_mm for one in readings] == pytest.approx([50.0, 100.0, 20.0], abs=1e-3)
@@ -390,8 +395,16 @@ def test_what_a_script_catches_is_named_as_the_script_knows_it(path: Path) -> No
     with hil.open(path) as axis, pytest.raises(hil.StateError) as raised:
         axis.move_to(20.0)
     assert traceback.format_exception_only(raised.value)[0].startswith("hil.StateError: axis X is ")
-    assert repr(hil.Rows) == "<class 'hil.Rows'>"
     assert isinstance(pickle.loads(pickle.dumps(raised.value)), hil.StateError)
+
+
+def test_a_class_shows_its_source_and_the_types_of_its_parts() -> None:
+    for name in names.__all__:
+        one = getattr(hil, name)
+        if isinstance(one, type) and not issubclass(one, Exception):
+            assert f"class {name}" in inspect.getsource(one)
+    for one in (hil.Procedure, hil.Result, hil.Rows, hil.AxisReading, hil.Event, hil.Move, hil.BacklashResult):
+        assert get_type_hints(one)
 
 
 def test_rows_become_frames_where_those_are_installed(monkeypatch: pytest.MonkeyPatch) -> None:
