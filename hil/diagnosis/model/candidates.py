@@ -25,6 +25,8 @@ SAME = 0.02
 """Singular value, over the largest, below which two tables have absorbed the same."""
 ROUNDS = 12
 """Steps of a search of an effect's parameters: each to the best neighbour, or to half the distance."""
+PLACES = 1001
+"""Places on the travel at which an effect is looked at between the rows."""
 ROUGH = 300.0
 """Variance of a table, over the white noise, that holds whatever a table can."""
 
@@ -164,6 +166,19 @@ class Catalogue:
         if effect.id in self._varying:  # a declared table lacks the mean too
             held = self.campaign.d[:, None]
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
+
+    def between_rows(self, one: Candidate, coefficients: Floats) -> float:
+        """How large a function of the place is anywhere on the travel, over its largest value on the rows; of others 1."""
+        if not set(one.form.inputs) <= {"target_mm", "direction"}:
+            return 1.0
+        on_rows, x = self.campaign.columns, self.campaign.x
+        place = np.tile(np.linspace(np.min(x), np.max(x), PLACES), 2)
+        anywhere = {"target_mm": place, "direction": np.repeat([1.0, -1.0], PLACES)}
+        most, seen = (
+            float(np.max(np.abs(one.effect.basis(one.form, one.theta, columns) @ coefficients)))
+            for columns in (anywhere, on_rows)
+        )
+        return most / max(seen, 1e-12)
 
     def again(self, parts: Sequence[Part]) -> list[Part]:
         """Parts of other rows beside these: each effect in the likelier of its explanations, one after the other."""

@@ -18,7 +18,8 @@ class Policy:
         half-Cauchy one on offsets of runs
     dof: degrees of freedom of the prior on the variance of a group of rows, and of each row where the tails are heavy: Student's t
     few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away
-    largest: RMS of an effect over that of the errors, from which another one would have to undo it
+    largest: RMS of an effect over that of the errors, from which another would have to undo it; and its largest value on the travel
+        over that on the rows
     sure: posterior of an effect by its column from which its correction goes beyond what was seen
     """
 

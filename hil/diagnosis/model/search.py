@@ -20,6 +20,8 @@ LEAST_RISE = 0.1
 """Log odds by which a change of the parts must raise what they are worth: so the changes end."""
 FEWEST_RUNS = 3
 """Runs from which a function of the place must show in more than one of them."""
+NEAR = 8.0
+"""Log odds on the grids, below the best there, down to which an effect is followed before others."""
 REFINED, FOLLOWED = (8, 3), (6, 2)
 """Most candidates whose parameters are refined, and most whose evidence is computed, and how many of them of one effect."""
 
@@ -82,9 +84,11 @@ class Search:
 
     def _effects(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The likeliest effects, each in its likeliest forms."""
-        near = [self._refined(one) for one in _first(self.catalogue.ranked(self._fits(parts)), *REFINED)]
-        near += [_as_good_as(one, rich) for one in near for rich in self.catalogue.richer(one.part, one.fit)]
-        best = _first(sorted(near, key=lambda one: -one.gain), *FOLLOWED)
+        ranked = _first(self.catalogue.ranked(self._fits(parts)), *REFINED)
+        near = {one.part.name for one in ranked if one.gain > ranked[0].gain - NEAR}
+        found = [self._refined(one) for one in ranked]
+        found += [_as_good_as(one, rich) for one in found for rich in self.catalogue.richer(one.part, one.fit)]
+        best = _first(sorted(found, key=lambda one: (one.part.name not in near, -one.gain)), *FOLLOWED)
         return [(self._refined(one).part, one.fit.noise) for one in best]
 
     def _refined(self, one: Ranked) -> Ranked:
@@ -105,7 +109,9 @@ class Search:
         return Alternative(found.log_p, part, found.noise)
 
     def _against(self, parts: Sequence[Part], part: Part, noise: Noise) -> float:
-        """Log odds against an effect with physics out of its range, or with which one is far larger than all errors."""
+        """Log odds against an effect with physics out of its range, or with which one is far larger than all errors, or larger between
+        the rows than on them.
+        """
         one = part.of
         if one is None or one.form.shrunk:
             return 0.0
@@ -116,6 +122,8 @@ class Search:
         if max(float(np.std(course)) for course in effects) > USUAL.largest * float(
             np.std(self.rows.campaign.error_um)
         ):
+            return math.inf
+        if self.catalogue.between_rows(one, fit.coefficients(part)) > USUAL.largest:
             return math.inf
         at = fit.where(part, "free")
         term = as_term(one, fit.beta[at], np.pad(fit.covariance[at, at], (0, len(one.theta))))
