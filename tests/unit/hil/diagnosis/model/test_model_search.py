@@ -10,11 +10,11 @@ from support.campaigns import Array, campaign, wavy
 
 from hil.diagnosis.campaign import AllRows
 from hil.diagnosis.model.candidates import Catalogue
-from hil.diagnosis.model.evidence import Part
+from hil.diagnosis.model.evidence import Candidate, Part
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.rows import Rows
 from hil.diagnosis.model.search import Search
-from hil.effects import ALL
+from hil.effects import ALL, Effect
 
 
 def errors(c: dict[str, Array]) -> Array:
@@ -44,3 +44,21 @@ def test_parts_that_are_too_many_end_as_the_true_ones_whatever_their_order(first
     found = search().run(ended)
     assert {part.name for part in found.parts} == {"cyclic", "thermal_expansion"}
     assert worth(found.parts) == pytest.approx(worth(search().run().parts), abs=1.0)
+
+
+def test_a_zone_between_two_targets_is_larger_there_than_on_the_rows() -> None:
+    """A bump half-way, an eighth of the gap wide: exp(8) of its value at the targets. A cycle is as large on the rows as anywhere."""
+    catalogue = search().catalogue
+    x = np.sort(catalogue.campaign.x)
+    gap = int(np.argmax(np.diff(x)))
+    middle, width = (x[gap] + x[gap + 1]) / 2.0, (x[gap + 1] - x[gap]) / 8.0
+    forms = {(grid.effect.id, grid.form.name): grid for grid in catalogue.grids}
+    wave = forms["cyclic", "fundamental"]
+    bump = next(form for form in wear().forms(catalogue.campaign.survey) if form.name == "bump")
+    ratio = catalogue.between_rows(Candidate(wear(), bump, (middle, width)), np.array([-2.0]))
+    assert 0.9 * np.exp(8.0) < ratio < 1.01 * np.exp(8.0)
+    assert catalogue.between_rows(Candidate(wave.effect, wave.form, (10.0,)), np.array([0.3, 1.0])) < 1.01
+
+
+def wear() -> Effect:
+    return next(effect for effect in ALL if effect.id == "local_wear")
