@@ -123,10 +123,10 @@ class Search:
             np.std(self.rows.campaign.error_um)
         ):
             return math.inf
-        if self.catalogue.between_rows(one, fit.coefficients(part)) > USUAL.largest:
+        coefficients, at = fit.coefficients(part), fit.where(part, "free")
+        if self.catalogue.between_rows(one, coefficients) > USUAL.largest:
             return math.inf
-        at = fit.where(part, "free")
-        term = as_term(one, fit.beta[at], np.pad(fit.covariance[at, at], (0, len(one.theta))))
+        term = as_term(one, coefficients, np.pad(fit.covariance[at, at], (0, len(one.theta))))
         return 2.0 * USUAL.richer if one.effect.implausible(term) else 0.0
 
     def rests_on_few(self, parts: Sequence[Part], one: Alternative) -> bool:

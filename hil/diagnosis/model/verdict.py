@@ -132,9 +132,9 @@ class Verdict:
     def _follows(self, part: Part, term: Term) -> tuple[tuple[Term, float], ...]:
         """The effect by each column that it may follow, with its share among them; none where no other has any."""
         others = [one for one in self.parts if one is not part]
-        odds, terms = {_carrier(part): self.search.log_p(self.parts)}, {_carrier(part): term}
+        odds, terms = {_first_column(part): self.search.log_p(self.parts)}, {_first_column(part): term}
         for one in self.search.alternatives(others):
-            name = _carrier(one.part)
+            name = _first_column(one.part)
             if one.part.name == part.name and name not in odds:
                 odds[name] = one.log_p
                 terms[name] = terms_of(Fit(self.search.rows, [*others, one.part], one.noise))[one.part]
@@ -188,7 +188,7 @@ class Verdict:
         return {name: alike for name, alike in found.items() if alike}
 
 
-def _carrier(part: Part) -> str:
+def _first_column(part: Part) -> str:
     """The column that a part follows first; empty where none."""
     return "".join(part.names[:1])
 
