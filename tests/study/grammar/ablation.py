@@ -27,7 +27,7 @@ from study.grammar.machine import LOTS, SEEDS
 
 from hil.diagnosis.model import diagnosing, verdict
 from hil.diagnosis.model.candidates import Catalogue
-from hil.diagnosis.model.diagnosing import Case
+from hil.diagnosis.model.diagnosing import Case, InForce
 from hil.diagnosis.model.evidence import Noise
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
@@ -73,6 +73,40 @@ def variants(only: Sequence[str], together: str) -> list[str]:
         return ["", together]
     changed = [*PARTS, *(f"{name} {factor:g}" for name in asdict(USUAL) for factor in FACTORS)]
     return ["", *(one for one in changed if not only or one in only or one.split(" ")[0] in only)]
+
+
+@contextmanager
+def watched() -> Iterator[set[str]]:
+    """The parts that did something meanwhile: without the others the same would have been said."""
+    moved: set[str] = set()
+
+    def beside(name: str, usual: Any, instead: Any) -> Any:
+        def call(*args: Any) -> Any:
+            given = usual(*args)
+            given = tuple(given) if isinstance(given, Iterator) else given
+            if name not in moved and not _same(given, instead(*args)):
+                moved.add(name)
+            return given
+
+        return call
+
+    with ExitStack() as changed:
+        for name, (owner, attribute, instead) in PARTS.items():
+            usual = getattr(owner, attribute)
+            if isinstance(usual, property):
+                new: Any = property(beside(name, usual.fget, lambda _, value=instead: value))
+            else:
+                new = beside(name, usual, instead)
+            changed.enter_context(patch.object(owner, attribute, new))
+        yield moved
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray):
+        return bool(np.array_equal(one, other))
+    if isinstance(one, InForce):
+        return one.force is other.force
+    return one is other or bool(one == other)
 
 
 def judged(lot: str, seed: int, variant: str) -> Outcome:
@@ -131,10 +165,15 @@ def main(words: Sequence[str] | None = None) -> int:
     done = {(one["lot"], one["seed"], one["variant"]) for one in lines}
     for seed in SEEDS["tuning"][args.first : args.first + args.machines]:
         for lot in args.lot or LOTS:
+            if all((lot, seed, variant) in done for variant in trials):
+                continue
+            with watched() as moved:
+                usual = compact(judged(lot, seed, ""))
             for variant in trials:
                 if (lot, seed, variant) in done:
                     continue
-                found = compact(judged(lot, seed, variant)) | {"variant": variant}
+                is_moved = variant not in PARTS or variant in moved
+                found = (compact(judged(lot, seed, variant)) if variant and is_moved else usual) | {"variant": variant}
                 with args.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(found) + "\n")
                 lines.append(found)
