@@ -40,6 +40,8 @@ fewer.
 """
 _SLACK_S = 5.0
 """Tolerance between a sample and the time noted for it, s."""
+_CALIBRATE_ANEW = "calibrate with a new zero (--new-zero, in a script new_zero=True)"
+_INSTRUMENT_ZEROED = "--instrument-zeroed, in a script instrument_zeroed=True"
 
 
 class ZeroError(StateError):
@@ -198,7 +200,6 @@ class ZeroKeeper:
         self,
         path: Path,
         axis: str,
-        axis_file: Path,
         *,
         within_um: float = REFERENCE_WITHIN_UM,
         absolute_encoder: bool = False,
@@ -214,7 +215,6 @@ class ZeroKeeper:
         """Found by `begin`: the axis has its zero, and a homing would lose it."""
         self.current: Zero | None = None
         """What the axis is in, since `begin`."""
-        self._file = axis_file
         self._within_um = within_um
         self._absolute = absolute_encoder
         self._instrument = instrument
@@ -276,7 +276,6 @@ class ZeroKeeper:
                 other = "another is being made" if known is None else f"it has {known.describe()} now"
                 raise ZeroError(
                     f"axis {self.axis}: {what} in another zero ({zero.describe()}), {other}: calibrate again"
-                    f" (hil calibrate {self._file})"
                 )
         return known
 
@@ -289,7 +288,7 @@ class ZeroKeeper:
         if dict(known.drive) != dict(now.identity):
             raise ZeroError(
                 f"axis {self.axis}: its zero ({known.describe()}) was made with drive {_named(known.drive)}, this one is"
-                f" {_named(now.identity)}{self._new_zero_hint}"
+                f" {_named(now.identity)}; to begin anew, {_CALIBRATE_ANEW}"
             )
         if not homes or homed:
             return
@@ -298,15 +297,15 @@ class ZeroKeeper:
         if not known.homes or known.method != now.method or moved:
             raise ZeroError(
                 f"axis {self.axis}: its zero is {known.describe()}, the drive would home by"
-                f" {describe_homing(homes, now.method, is_)}{self._new_zero_hint}"
+                f" {describe_homing(homes, now.method, is_)}; to begin anew, {_CALIBRATE_ANEW}"
             )
 
     def _refused(self, method: int | None, known: Zero | None) -> str:
         lost = "what was measured before" if known is None else f"its zero ({known.describe()})"
         return (
             f"axis {self.axis}: homing method {method} depends on where the axis stands, {lost} would be lost, and the drive does not"
-            " say that it is homed; home to a switch, or bring the axis to its zero and begin anew"
-            f" (hil calibrate {self._file} --new-zero)"
+            " say that it is homed; home to a switch, or bring the axis to its zero and"
+            f" {_CALIBRATE_ANEW}"
         )
 
     @property
@@ -314,13 +313,9 @@ class ZeroKeeper:
         if not self._says_homed:
             return "does not say that it has kept its zero"
         return (
-            "says that it is homed, but not by what: another program may have homed it since (--instrument-zeroed where a person"
-            " knows that none has)"
+            "says that it is homed, but not by what: another program may have homed it since"
+            f" (a person who knows that none has says so: {_INSTRUMENT_ZEROED})"
         )
-
-    @property
-    def _new_zero_hint(self) -> str:
-        return f"; to begin anew: hil calibrate {self._file} --new-zero"
 
     def _was_measured(self) -> bool:
         """Whether the axis has rows from before its zero was kept."""
@@ -368,15 +363,15 @@ class ZeroKeeper:
             if abs(off_um) > self._within_um:
                 raise ZeroError(
                     f"axis {self.axis}: the instrument finds the reference position {off_um / 1000.0:+.4f} mm from where it was on"
-                    f" {before.time[:16]}, at most {self._within_um:g} µm are allowed (reference_within_um): the axis's zero has moved"
-                    f" (hil calibrate {self._file} --new-zero), or the instrument was zeroed since (--instrument-zeroed)"
+                    f" {before.time[:16]}, at most {self._within_um:g} µm are allowed (reference_within_um):"
+                    f" the axis's zero has moved: {_CALIBRATE_ANEW}; or the instrument was zeroed since ({_INSTRUMENT_ZEROED})"
                 )
             found = before
         elif before is not None and not self._tied and not (self._says_homed and zeroed):
             raise ZeroError(
                 f"axis {self.axis}: the instrument counts from another place than on {before.time[:16]}, the axis is not homed to a"
                 f" switch, and its drive {self._drive_statement}: nothing shows that it is the same ([axis] absolute_encoder = true"
-                f" where the drive keeps it){self._new_zero_hint}"
+                f" where the drive keeps it); to begin anew, {_CALIBRATE_ANEW}"
             )
         self.current = replace(current, reference=found, refused=False)
         write_zero(self.path, self.current)

@@ -21,6 +21,7 @@ from hil.axis.axis_file import AxisConfig, uncertainty_of
 from hil.axis.certificate import CertificateConfig, Device, Party
 from hil.axis.identity import identity
 from hil.diagnosis.report.diagnosis import opening, percent
+from hil.effects.catalogue import ALL
 from hil.figures import FIGURES
 from hil.figures.error_figures import rms
 from hil.figures.iso230 import Iso230, symbol
@@ -273,19 +274,17 @@ def loop(common: Common, before: NamedCampaign, after: NamedCampaign, diagnosis:
         Stated("RMS after", "root mean square of the error after, fresh rows", *_rms(after.records)),
         Stated("RMS before", "root mean square of the error before, fresh rows", *_rms(before.records)),
     ]
+    known = {effect.id for effect in ALL}
     for finding in objects_of(diagnosis.get("findings")):
         effect = str(finding.get("effect"))
         for name, form in object_of(finding.get("parameters")).items():
             value, std = value_of(form, "value"), value_of(form, "std")
-            if value is not None:
+            unit = with_unit(name)[1] or (
+                "1" if effect in known else ""
+            )  # a user's effect may name a unit that is not in UNITS
+            if value is not None and unit:
                 stated.append(
-                    Stated(
-                        f"{effect} {name}",
-                        f"parameter of {effect}",
-                        value,
-                        with_unit(name)[1] or "1",
-                        2 * std if std else None,
-                    )
+                    Stated(f"{effect} {name}", f"parameter of {effect}", value, unit, 2 * std if std else None)
                 )
         if (sure := value_of(finding, "confidence")) is not None:
             stated.append(Stated(f"{effect} confidence", f"probability of {effect} among its rivals", sure, "1"))

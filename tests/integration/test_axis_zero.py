@@ -212,7 +212,7 @@ def test_a_later_verb_on_a_new_connection(site: Make, homing: str, verb: str) ->
     here.moved()
     with here.machine() as machine:
         if homing == "37":
-            with pytest.raises(ZeroError, match="begin anew"):
+            with pytest.raises(ZeroError, match="with a new zero"):
                 VERBS[verb](here, machine, lambda _event: None, False)
             assert here.moved() == (was_at, was_at)
             return

@@ -39,7 +39,7 @@ class Drive:
 
 
 def keeper(directory: Path, drive: Drive, **how: Any) -> ZeroKeeper:
-    made = ZeroKeeper(directory / "X.zero.json", "X", directory / "X.toml", instrument="umd", **how)
+    made = ZeroKeeper(directory / "X.zero.json", "X", instrument="umd", **how)
     made.guard(drive)  # type: ignore[arg-type]
     return made
 
@@ -265,7 +265,7 @@ def test_a_drive_that_homed_elsewhere_is_not_believed_when_it_says_that_it_is_ho
     drive.before_homing()
     drive.homed_elsewhere()
     drive.homed = True
-    with pytest.raises(ZeroError, match="--new-zero"):
+    with pytest.raises(ZeroError, match=r"--new-zero, in a script new_zero=True"):
         begin(keeper(tmp_path, drive, absolute_encoder=absolute), drive)
     anew = keeper(tmp_path, drive, absolute_encoder=absolute)
     anew.anew = True

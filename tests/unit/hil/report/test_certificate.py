@@ -491,6 +491,19 @@ def test_a_loop_says_what_the_error_did_and_is_refused_where_nothing_was_measure
         loop(common(), large, own, FOUND)
 
 
+def test_a_parameter_of_a_user_s_effect_is_stated_only_with_its_unit(place: Path) -> None:
+    size = {"value": 2.0, "std": 0.1}
+    own = {"effect": "rack", "parameters": {"rate_nm_per_kg": size, "height_um": size}, "confidence": 0.9}
+    air = {"effect": "air_index", "parameters": {"uncompensated_share": size}}
+    before, after = (NamedCampaign(name, rows(other_targets(), um)) for name, um in (("before", 4.0), ("after", 1.0)))
+    stated = loop(common(), before, after, {"findings": [own, air]}).stated
+    assert [(one.symbol, one.unit) for one in stated[2:]] == [
+        ("rack height_um", "µm"),
+        ("rack confidence", "1"),
+        ("air_index uncompensated_share", "1"),
+    ]
+
+
 def test_a_circle_of_other_axes_is_not_certified_for_this_one(place: Path) -> None:
     assert of_result(common(), {**circle_result(), "axes": ["X", "Y"]}).kind == "circle"
     with pytest.raises(InputError, match="driven with the axes Y, Z, and the axis file is of X"):
