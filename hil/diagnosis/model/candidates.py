@@ -13,65 +13,17 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from hil.diagnosis.campaign import CampaignRows, Floats, Singles
+from hil.diagnosis.campaign import Floats, Singles
 from hil.diagnosis.model.evidence import Candidate, Fit, Part, score
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
 from hil.diagnosis.model.rows import Rows
-from hil.diagnosis.table import SplineShape
 from hil.effects import Effect, Form
 
-SAME = 0.02
-"""Singular value, over the largest, below which two tables have absorbed the same."""
 ROUNDS = 12
 """Steps of a search of an effect's parameters: each to the best neighbour, or to half the distance."""
 PLACES = 1001
 """Places on the travel at which an effect is looked at between the rows."""
-ROUGH = 300.0
-"""Variance of a table, over the white noise, that holds whatever a table can."""
-
-
-class Table:
-    """What a rough table of these rows holds of further columns."""
-
-    def __init__(self, campaign: CampaignRows) -> None:
-        self._shape = SplineShape(campaign.basis)
-        columns = self._shape.columns(campaign.x, campaign.d)
-        self._columns, self._free = columns.stacked, columns.free.shape[1]
-        ridge = np.full(self._columns.shape[1], 1.0 / ROUGH)
-        ridge[: columns.free.shape[1]] = 1e-9
-        self._gram = self._columns.T @ self._columns
-        self._inverse = np.linalg.inv(self._gram + np.diag(ridge))
-
-    def coefficients(self, columns: Floats) -> Floats:
-        """Of the spline's columns (`SplineShape.columns`), (w, k)."""
-        return np.asarray(self._inverse @ (self._columns.T @ columns))
-
-    def beside(self, columns: Floats) -> Floats:
-        """Share of the norm of each that it does not hold, (k,)."""
-        onto = self._columns.T @ columns
-        beta = self._inverse @ onto
-        whole = np.sum(columns * columns, axis=0)
-        left = whole - 2.0 * np.sum(beta * onto, axis=0) + np.sum(beta * (self._gram @ beta), axis=0)
-        return np.asarray(np.sqrt(np.maximum(left, 0.0) / np.maximum(whole, 1e-24)))
-
-    def at(self, x_mm: Floats, direction: Floats) -> Floats:
-        """The spline's columns at other places, (m, w)."""
-        return self._shape.columns(x_mm, direction).stacked
-
-    def held(self, columns: Floats) -> Floats:
-        """Its values, (n, k)."""
-        return np.asarray(self._columns @ self.coefficients(columns))
-
-    def absorbed(self, columns: Floats) -> Floats:
-        """What a table can have absorbed, however smooth: as the roughest and as a straight line has it, in orthogonal columns of
-        RMS 1, (n, m), so that each costs unit information.
-        """
-        line = self._columns[:, : self._free]
-        straight = line @ np.linalg.lstsq(line, columns, rcond=None)[0]
-        both = np.hstack([self.held(columns), straight])
-        axes, size, _ = np.linalg.svd(both / np.maximum(np.linalg.norm(both, axis=0), 1e-12), full_matrices=False)
-        return np.asarray(axes[:, size > SAME * size[0]] * math.sqrt(len(both)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,13 +47,19 @@ class Grid:
         return np.asarray(own - np.logaddexp.reduce(own))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Ranked:
-    """A candidate at its best grid point: log evidence that it adds over the best fit, priors included, and the fit beside it."""
+    """A candidate beside a fit: log evidence that it adds over the best fit, its own prior included."""
 
     gain: float
-    part: Part
+    candidate: Candidate
+    log_prior: float
     fit: Fit
+
+    @property
+    def name(self) -> str:
+        """Of its effect."""
+        return self.candidate.effect.id
 
 
 class Catalogue:
@@ -115,7 +73,6 @@ class Catalogue:
         self.refining: dict[str, list[Form]] = {}
         self.wandering: list[Candidate] = []
         self.beside: dict[str, float] = {}
-        self.table = Table(rows.campaign)
         self._varying = {
             effect.mean_of for effect in effects if rows.is_declared and rows.campaign.basis.both_directions
         }
@@ -132,7 +89,7 @@ class Catalogue:
     def _add(self, effect: Effect, form: Form) -> None:
         columns = effect.bases(form, form.starts, self.campaign.columns)
         groups = columns.reshape(len(columns), len(form.starts), -1)
-        best = np.max(self.table.beside(columns).reshape(groups.shape[1:]), axis=1)
+        best = np.max(self.rows.table.beside(columns).reshape(groups.shape[1:]), axis=1)
         if not effect.static or set(form.inputs) <= {"target_mm", "direction"}:
             self.beside[effect.id] = max(self.beside.get(effect.id, 0.0), float(np.max(best)))
         kept = np.ones(len(best), dtype=bool) if not effect.static or self.rows.is_declared else best > USUAL.share
@@ -140,7 +97,7 @@ class Catalogue:
             return
         thetas = tuple(tuple(theta) for theta, one in zip(form.starts, kept, strict=True) if one)
         for absorbed in self._ways(effect):
-            scanned = (columns - self.table.held(columns)).reshape(groups.shape) if absorbed else groups
+            scanned = (columns - self.rows.table.held(columns)).reshape(groups.shape) if absorbed else groups
             if effect.id in self._varying:
                 mean = np.broadcast_to(self.campaign.d[:, None, None], (*scanned.shape[:2], 1))
                 scanned = np.concatenate([scanned, mean], axis=2)
@@ -162,7 +119,7 @@ class Catalogue:
         none = columns[:, :0]
         if form.shrunk:
             return Part(effect.id, form.inputs, none, columns * math.sqrt(candidate.ratio), none, log_prior, candidate)
-        held = self.table.absorbed(columns) if candidate.absorbed else none
+        held = self.rows.table.absorbed(columns) if candidate.absorbed else none
         if effect.id in self._varying:  # a declared table lacks the mean too
             held = self.campaign.d[:, None]
         return Part(effect.id, form.inputs, columns, none, held, log_prior, candidate)
@@ -202,7 +159,7 @@ class Catalogue:
         columns = one.effect.basis(one.form, (), self.campaign.columns)
         prior = one.effect.log_odds + one.form.log_odds
         gain, ratio, fit = max(((*fit.random_gain(columns), fit) for fit in fits), key=lambda g: g[2].log_p + g[0])
-        return Ranked(fit.log_p - top + gain + prior, self.part(replace(one, ratio=ratio), prior), fit)
+        return Ranked(fit.log_p - top + gain + prior, replace(one, ratio=ratio), prior, fit)
 
     def _best(self, grid: Grid, fits: Sequence[Fit], top: float) -> Ranked:
         gains = {fit: fit.gains(grid.rows, grid.k, grid) for fit in fits}
@@ -210,14 +167,19 @@ class Catalogue:
         fit = max(fits, key=lambda one: one.log_p + mean[one])
         at = int(np.argmax(gains[fit] + grid.log_prior))
         prior = mean[fit] - float(gains[fit][at]) + self.prior(grid.effect, grid.form)
-        part = self.part(Candidate(grid.effect, grid.form, grid.thetas[at], absorbed=grid.absorbed), prior)
-        return Ranked(fit.log_p - top + float(gains[fit][at]) + prior, part, fit)
+        one = Candidate(grid.effect, grid.form, grid.thetas[at], absorbed=grid.absorbed)
+        return Ranked(fit.log_p - top + float(gains[fit][at]) + prior, one, prior, fit)
 
-    def refined(self, part: Part, fit: Fit) -> Part:
-        """The part with its non-linear parameters where the evidence is highest."""
-        one = part.of
-        if one is None or not one.theta or one.form.exhaustive:
-            return part
+    def _instead(self, ranked: Ranked, one: Candidate, log_prior: float) -> Ranked:
+        """Another form or other parameters in the place of a ranked candidate."""
+        more = ranked.fit.gain(self._columns(one)) - ranked.fit.gain(self._columns(ranked.candidate))
+        return Ranked(ranked.gain + more + log_prior - ranked.log_prior, one, log_prior, ranked.fit)
+
+    def refined(self, ranked: Ranked) -> Ranked:
+        """With its non-linear parameters where the evidence is highest."""
+        one, fit = ranked.candidate, ranked.fit
+        if not one.theta or one.form.exhaustive:
+            return ranked
         logs = np.array([p.logarithmic for p in one.form.nonlinear])
         lower, upper = (np.array([getattr(p, end) for p in one.form.nonlinear]) for end in ("lower", "upper"))
         start = np.where(logs, np.log(np.maximum(one.theta, 1e-12)), one.theta)
@@ -238,25 +200,23 @@ class Catalogue:
                 best, most = trials[int(np.argmax(values))], max(values)
             else:
                 step = step / 2.0
-        return self.part(at(best), part.log_prior)
+        return self._instead(ranked, at(best), ranked.log_prior)
 
     def _columns(self, one: Candidate) -> Floats:
         columns = one.effect.basis(one.form, one.theta, self.campaign.columns)
-        return columns - self.table.held(columns) if one.absorbed else columns
+        return columns - self.rows.table.held(columns) if one.absorbed else columns
 
-    def richer(self, part: Part, fit: Fit) -> Iterator[Part]:
+    def richer(self, ranked: Ranked) -> Iterator[Ranked]:
         """The same effect by the same column in its richer forms, at the same parameters or the best of their grid."""
-        one = part.of
-        if one is None or one.form.shrunk:
-            return
-        for form in self.refining.get(part.name, ()):
+        one, fit = ranked.candidate, ranked.fit
+        for form in () if one.form.shrunk else self.refining.get(ranked.name, ()):
             if one.form.inputs[:1] != form.inputs[:1]:
                 continue
             thetas = [one.theta] if len(form.nonlinear) == len(one.theta) else list(form.starts)
             trials = [Candidate(one.effect, form, tuple(theta), absorbed=one.absorbed) for theta in thetas]
             best = max(trials, key=lambda trial: fit.gain(self._columns(trial))) if len(trials) > 1 else trials[0]
-            prior = part.log_prior - self.prior(one.effect, one.form) + self.prior(one.effect, form)
-            yield self.part(best, prior)
+            prior = ranked.log_prior - self.prior(one.effect, one.form) + self.prior(one.effect, form)
+            yield self._instead(ranked, best, prior)
 
 
 def _spacing(form: Form, z: Floats, logs: NDArray[np.bool_]) -> Floats:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import AllRows, Floats, Ints
-from hil.diagnosis.model.candidates import Table
 from hil.diagnosis.model.evidence import Fit, Part
 from hil.diagnosis.model.rows import KNOWN
 from hil.effects import Action, Term
@@ -102,7 +101,7 @@ def _with_held(table: PitchTable, fit: Fit) -> PitchTable:
     held = [part for part in fit.parts if part.fixed.shape[1]]
     if not held:
         return table
-    own = Table(fit.rows.campaign)
+    own = fit.rows.table
     x = np.array(table.positions_mm)
     moved = np.zeros((2, len(x)))
     for part in held:

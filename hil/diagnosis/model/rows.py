@@ -30,6 +30,10 @@ LEFT_OUT = 1e4
 """Noise of rows that are left out, over their own."""
 MOST_BYTES = 4_000_000
 """Bytes of columns that are whitened together."""
+SAME = 0.02
+"""Singular value, over the largest, below which two tables have absorbed the same."""
+ROUGH = 300.0
+"""Variance of a table, over the white noise, that holds whatever a table can."""
 EVEN, ODD, OFFSET, GIVEN, KNOWN = 0, 1, 2, 3, 4
 """Random columns: table alike in both directions, unlike, offsets of runs; a declared table's and its terms', of variance 1."""
 
@@ -94,6 +98,49 @@ class Given:
         return tuple(out)
 
 
+class Table:
+    """What a rough table of these rows holds of further columns."""
+
+    def __init__(self, campaign: CampaignRows) -> None:
+        self._shape = SplineShape(campaign.basis)
+        columns = self._shape.columns(campaign.x, campaign.d)
+        self._columns, self._free = columns.stacked, columns.free.shape[1]
+        ridge = np.full(self._columns.shape[1], 1.0 / ROUGH)
+        ridge[: columns.free.shape[1]] = 1e-9
+        self._gram = self._columns.T @ self._columns
+        self._inverse = np.linalg.inv(self._gram + np.diag(ridge))
+
+    def coefficients(self, columns: Floats) -> Floats:
+        """Of the spline's columns (`SplineShape.columns`), (w, k)."""
+        return np.asarray(self._inverse @ (self._columns.T @ columns))
+
+    def beside(self, columns: Floats) -> Floats:
+        """Share of the norm of each that it does not hold, (k,)."""
+        onto = self._columns.T @ columns
+        beta = self._inverse @ onto
+        whole = np.sum(columns * columns, axis=0)
+        left = whole - 2.0 * np.sum(beta * onto, axis=0) + np.sum(beta * (self._gram @ beta), axis=0)
+        return np.asarray(np.sqrt(np.maximum(left, 0.0) / np.maximum(whole, 1e-24)))
+
+    def at(self, x_mm: Floats, direction: Floats) -> Floats:
+        """The spline's columns at other places, (m, w)."""
+        return self._shape.columns(x_mm, direction).stacked
+
+    def held(self, columns: Floats) -> Floats:
+        """Its values, (n, k)."""
+        return np.asarray(self._columns @ self.coefficients(columns))
+
+    def absorbed(self, columns: Floats) -> Floats:
+        """What a table can have absorbed, however smooth: as the roughest and as a straight line has it, in orthogonal columns of
+        RMS 1, (n, m), so that each costs unit information.
+        """
+        line = self._columns[:, : self._free]
+        straight = line @ np.linalg.lstsq(line, columns, rcond=None)[0]
+        both = np.hstack([self.held(columns), straight])
+        axes, size, _ = np.linalg.svd(both / np.maximum(np.linalg.norm(both, axis=0), 1e-12), full_matrices=False)
+        return np.asarray(axes[:, size > SAME * size[0]] * math.sqrt(len(both)))
+
+
 class Rows:
     """y = fixed a + random b + … + scale (ε + memory), all over the white noise. given: the declared model, or None for a table that
     is fitted from these rows."""
@@ -121,6 +168,11 @@ class Rows:
     def is_declared(self) -> bool:
         """Whether the table was given, so that what depends on position and direction alone can be found beside it."""
         return self.given is not None
+
+    @cached_property
+    def table(self) -> Table:
+        """A rough table of these rows."""
+        return Table(self.campaign)
 
     @cached_property
     def of_table(self) -> Ints:

@@ -43,7 +43,6 @@ class Search:
         self.kept = frozenset(kept)
         self._tried: dict[tuple[str, frozenset[Part]], list[Alternative]] = {}
         self._scored: dict[frozenset[Part], list[Scored]] = {}
-        self._refinements: dict[Part, Ranked] = {}
 
     def scored(self, parts: Sequence[Part]) -> list[Scored]:
         """As `score`, made once."""
@@ -84,19 +83,14 @@ class Search:
 
     def _effects(self, parts: Sequence[Part]) -> list[tuple[Part, Noise]]:
         """The likeliest effects, each in its likeliest forms."""
-        ranked = _first(self.catalogue.ranked(self._fits(parts)), *REFINED)
-        near = {one.part.name for one in ranked if one.gain > ranked[0].gain - NEAR}
-        found = [self._refined(one) for one in ranked]
-        found += [_as_good_as(one, rich) for one in found for rich in self.catalogue.richer(one.part, one.fit)]
-        best = _first(sorted(found, key=lambda one: (one.part.name not in near, -one.gain)), *FOLLOWED)
-        return [(self._refined(one).part, one.fit.noise) for one in best]
-
-    def _refined(self, one: Ranked) -> Ranked:
-        """With its non-linear parameters where the evidence is highest."""
-        if one.part not in self._refinements:
-            found = _as_good_as(one, self.catalogue.refined(one.part, one.fit))
-            self._refinements[one.part] = self._refinements[found.part] = found
-        return self._refinements[one.part]
+        catalogue = self.catalogue
+        ranked = _first(catalogue.ranked(self._fits(parts)), *REFINED)
+        near = {one.name for one in ranked if one.gain > ranked[0].gain - NEAR}
+        found = [catalogue.refined(one) for one in ranked]
+        rich = [other for one in found for other in catalogue.richer(one)]
+        best = _first(sorted([*found, *rich], key=lambda one: (one.name not in near, -one.gain)), *FOLLOWED)
+        best = [catalogue.refined(one) if one in rich else one for one in best]
+        return [(catalogue.part(one.candidate, one.log_prior), one.fit.noise) for one in best]
 
     def with_part(self, parts: Sequence[Part], part: Part, near: Noise) -> Alternative:
         """The evidence with a further part: less likely as a second term of an effect, and with physics out of its range."""
@@ -238,7 +232,7 @@ def _first(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:
     """Of candidates, the best first, so many, and so many of one effect."""
     found: list[Ranked] = []
     for one in ranked:
-        mine = sum(other.part.name == one.part.name for other in found)
+        mine = sum(other.name == one.name for other in found)
         if mine < of_one and len(found) < most:
             found.append(one)
     return found
@@ -247,12 +241,3 @@ def _first(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:
 def _is_flexible(part: Part) -> bool:
     """Whether a part follows any course: a remainder, or a reading that wanders."""
     return part.is_remainder or (part.of is not None and part.of.form.shrunk)
-
-
-def _as_good_as(ranked: Ranked, part: Part) -> Ranked:
-    """Another form in the place of a ranked one, with its own gain."""
-    before = ranked.part
-    more = part.log_prior - before.log_prior
-    if part is not before and part.free.shape[1]:
-        more += ranked.fit.gain(part.free) - ranked.fit.gain(before.free)
-    return Ranked(ranked.gain + more, part, ranked.fit)

@@ -50,7 +50,7 @@ class Verdict:
 
     def _beside_table(self, course: Floats) -> Floats:
         """What a table does not hold of it, (n,)."""
-        return np.asarray(course - self.search.catalogue.table.held(course[:, None])[:, 0])
+        return np.asarray(course - self.search.rows.table.held(course[:, None])[:, 0])
 
     def findings(self) -> tuple[Finding, ...]:
         """The findings, largest first. Beside a remainder a name is as sure as its share of the power."""

@@ -118,11 +118,11 @@ def _weigh_part(
     parts = tuple(_part_of(search, term) for term in known)
     scored = search.scored(parts)
     found: dict[str, Hypothesis] = {}
-    shown = [(one.log_p - scored[0].log_p, one.part) for one in search.alternatives(parts, remainder=False)]
-    shown += [(one.gain, one.part) for one in search.catalogue.ranked([search.fit(parts)])]  # those far behind
-    for gain, part in shown:
-        if part.of is not None and part.name not in found:
-            found[part.name] = Hypothesis(part.of.effect, 0.0, gain, part.of, None)
+    shown = [(one.log_p - scored[0].log_p, one.part.of) for one in search.alternatives(parts, remainder=False)]
+    shown += [(one.gain, one.candidate) for one in search.catalogue.ranked([search.fit(parts)])]  # those far behind
+    for gain, candidate in shown:
+        if candidate is not None and candidate.effect.id not in found:
+            found[candidate.effect.id] = Hypothesis(candidate.effect, 0.0, gain, candidate, None)
     fits = [Fit(rows, parts, one.noise) for one in scored]
     for unseen in unseen_causes(rows.campaign, effects):
         if _hidden(fits[0], unseen.design):

@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import CampaignRows, prepare
-from hil.diagnosis.model.candidates import ROUGH
 from hil.diagnosis.model.diagnosing import BLIND
 from hil.diagnosis.model.evidence import Fit, Noise
-from hil.diagnosis.model.rows import NO_MEMORY, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, Rows
 from hil.diagnosis.next.causes import unseen_causes
 from hil.effects import ALL, Effect, Form
 from hil.effects.cyclic import COMMON_MM

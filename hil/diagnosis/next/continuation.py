@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.joining import SENSED, SET, is_set, segments
-from hil.diagnosis.model.candidates import ROUGH, Catalogue
+from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.diagnosing import rows_of
 from hil.diagnosis.model.evidence import Candidate, Fit, Noise, Part
-from hil.diagnosis.model.rows import NO_MEMORY, Given, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, Given, Rows
 from hil.diagnosis.next.causes import (
     ALONG,
     COURSES,

@@ -44,7 +44,7 @@ PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "few rows": (Search, "rests_on_few", lambda *_: False),
     "ranges": (Search, "_against", lambda *_: 0.0),
     "usual offsets": (Noise, "has_large_offsets", False),
-    "refined": (Catalogue, "refined", lambda _, part, __: part),
+    "refined": (Catalogue, "refined", lambda _, ranked: ranked),
     "richer forms": (Catalogue, "richer", lambda *_: ()),
     "scale of rows": (diagnosing, "row_scale", lambda residual, _: np.ones(len(residual))),
     "relay": (verdict.Verdict, "_switched", lambda *_: False),
