@@ -30,7 +30,7 @@ HIGHEST = np.array([7.0, 7.0, 7.0])
 START = np.array([1.0, 0.0, -1.5])
 LEAST_LEFT = 1e-4
 """Share of a column's squares that must be left beside everything else for it to count, in single precision."""
-KINDS = ("random", "fixed", "free")
+KINDS = ("random", "absorbed", "free")
 """Columns of a part, in their order."""
 RATIOS = 10.0 ** np.arange(-3.0, 4.1, 0.5)
 """Variances of a random part that are tried."""
@@ -80,14 +80,15 @@ class Candidate:
 class Part:
     """A part of the model: an effect, or a remainder (`of` is None).
 
-    names: columns that it follows; free (n, k): g-prior; fixed (n, f): the same, of what the table takes; random (n, r): variance 1
+    names: columns that it follows; free (n, k): g-prior; random (n, r): variance 1; absorbed (n, a): g-prior, what a declared table
+    took of it; log_prior: with what the choice on its grid costs
     """
 
     name: str
     names: tuple[str, ...]
     free: Floats
     random: Floats
-    fixed: Floats
+    absorbed: Floats
     log_prior: float = 0.0
     of: Candidate | None = None
 

@@ -98,14 +98,14 @@ def _times(term: Term, share: float) -> Term:
 
 def _with_held(table: PitchTable, fit: Fit) -> PitchTable:
     """A declared table with what it had absorbed of the effects set right."""
-    held = [part for part in fit.parts if part.fixed.shape[1]]
+    held = [part for part in fit.parts if part.absorbed.shape[1]]
     if not held:
         return table
     own = fit.rows.table
     x = np.array(table.positions_mm)
     moved = np.zeros((2, len(x)))
     for part in held:
-        coefficients = own.coefficients(part.fixed) @ fit.beta[fit.where(part, "fixed")]
+        coefficients = own.coefficients(part.absorbed) @ fit.beta[fit.where(part, "absorbed")]
         for i, direction in enumerate((1.0, -1.0)):
             moved[i] += own.at(x, np.full(len(x), direction)) @ coefficients
     forward, backward = (

@@ -59,7 +59,7 @@ def _with_slopes(fit: Fit, part: Part) -> Part:
     if part.of is None or not part.of.theta or part.of.form.exhaustive or part.of.form.shrunk:
         return part
     slopes = slopes_of(fit.rows.campaign.columns, part.of, fit.coefficients(part))
-    return replace(part, free=part.free[:, :0], fixed=np.hstack([part.fixed, part.free, slopes]))
+    return replace(part, free=np.hstack([part.free, slopes]))
 
 
 def as_term(one: Candidate, coefficients: Floats, covariance: Floats) -> Term:

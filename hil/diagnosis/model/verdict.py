@@ -78,15 +78,14 @@ class Verdict:
         peak = float(np.max(np.abs(whole - np.mean(whole))))
         return Finding(
             term,
-            1.0,
-            (),
-            size,
-            size * relative,
-            peak,
-            tuple(more),
-            self.search.catalogue.beside.get(name, 1.0) > USUAL.share,
-            () if more else self._follows(parts[0], term),
-            not more and _is_vague(term, size, self.campaign),
+            confidence=1.0,
+            rms_um=size,
+            rms_std_um=size * relative,
+            peak_um=peak,
+            more=tuple(more),
+            beside_any_table=self.search.catalogue.beside.get(name, 1.0) > USUAL.share,
+            follows=() if more else self._follows(parts[0], term),
+            vague=not more and _is_vague(term, size, self.campaign),
         )
 
     def _odds(self, part: Part) -> dict[str, float]:

@@ -27,14 +27,14 @@ NOISES = [
 ]
 
 
-def part(free: int = 0, random: int = 0, fixed: int = 0) -> Part:
+def part(free: int = 0, random: int = 0, absorbed: int = 0) -> Part:
     """A part of smooth random columns."""
-    wide = np.cumsum(RANDOM.normal(size=(N, free + random + fixed)), axis=0)
+    wide = np.cumsum(RANDOM.normal(size=(N, free + random + absorbed)), axis=0)
     return Part("p", (), wide[:, :free], wide[:, free : free + random], wide[:, free + random :])
 
 
 def dense(noise: Noise, parts: list[Part], scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Covariance of the errors over the white variance, and the fixed columns, written out row by row."""
+    """Covariance of the errors over the white variance, and the columns without a prior, written out row by row."""
     same = np.equal.outer(CAMPAIGN.run, CAMPAIGN.run)
     apart = np.abs(np.subtract.outer(np.arange(N), np.arange(N))).astype(float)
     v = np.outer(scale, scale) * (np.eye(N) + noise.memory.ar**2 * same * noise.memory.rho**apart)
@@ -43,7 +43,7 @@ def dense(noise: Noise, parts: list[Part], scale: np.ndarray) -> tuple[np.ndarra
     sd = np.exp(noise.log_sd)
     v += sd[EVEN] ** 2 * even @ even.T + sd[ODD] ** 2 * odd @ odd.T + sd[OFFSET] ** 2 * same
     v += sum((one.random @ one.random.T for one in parts), np.zeros((N, N)))
-    x = np.hstack([CAMPAIGN.basis.free(CAMPAIGN.x, CAMPAIGN.d), *(one.fixed for one in parts)])
+    x = np.hstack([CAMPAIGN.basis.free(CAMPAIGN.x, CAMPAIGN.d), *(one.absorbed for one in parts)])
     return v, x
 
 
@@ -70,8 +70,8 @@ def test_the_evidence_is_that_of_whole_matrices(noise: Noise) -> None:
 @pytest.mark.parametrize("noise", NOISES)
 def test_columns_with_a_g_prior_have_the_bayes_factor_of_whole_matrices(noise: Noise, absorbed: int) -> None:
     """Those that a declared table has absorbed as well."""
-    effect = part(free=2 - absorbed, fixed=absorbed)
-    columns = np.hstack([effect.free, effect.fixed])
+    effect = part(free=2 - absorbed, absorbed=absorbed)
+    columns = np.hstack([effect.free, effect.absorbed])
     v, x = dense(noise, [], np.ones(N))
     without, squares = restricted(v, x, ROWS.y)
     left = restricted(v, np.hstack([x, columns]), ROWS.y)[1] / squares
@@ -85,7 +85,7 @@ def test_columns_with_a_g_prior_have_the_bayes_factor_of_whole_matrices(noise: N
 
 @pytest.mark.parametrize("noise", NOISES)
 def test_the_gradient_is_that_of_differences(noise: Noise) -> None:
-    for parts in ([], [part(free=2), part(random=3)], [part(free=1, fixed=1)]):
+    for parts in ([], [part(free=2), part(random=3)], [part(free=1, absorbed=1)]):
         profile = Profile(ROWS, parts, noise.memory)
         for i, step in enumerate(1e-4 * np.eye(3)):
             ends = [profile.value(noise.log_sd + sign * step)[0] for sign in (1.0, -1.0)]
@@ -119,10 +119,9 @@ def test_an_effect_has_the_mean_of_the_evidence_over_its_grid_with_the_prior_of_
     rows = Rows(prepare(campaign(lambda c: wavy(c) - np.exp(-c["time_s"] / 30.0), runs=4, targets=8)))
     fit = Fit(rows, [], NOISES[0])
     (drift,) = (effect for effect in ALL if effect.id == "thermal_drift")
-    by_form = {one.part.of.form.name: one for one in Catalogue(rows, [drift]).ranked([fit]) if one.part.of}
+    by_form = {one.candidate.form.name: one for one in Catalogue(rows, [drift]).ranked([fit])}
     found = by_form["warming since the start"]
-    assert found.part.of
-    form = found.part.of.form
+    form = found.candidate.form
     middle, spread = form.nonlinear[0].usual or (1.0, 1.0)
     prior = np.array([-0.5 * (math.log(theta / middle) / spread) ** 2 for (theta,) in form.starts])
     gains = np.array([fit.gain(drift.basis(form, theta, rows.campaign.columns)) for theta in form.starts])
