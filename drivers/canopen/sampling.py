@@ -245,7 +245,7 @@ class Sampler:
                 )  # raised in the call that requested the sample, not in one that waits for another frame
                 return
             self.values.update(zip(entries, codec.unpack_from(data), strict=True))
-            self._awaited.discard(cob_id)
             self.heard_ns = time_ns
+            self._awaited.discard(cob_id)  # last: another thread may wait for it
 
         return receive

@@ -141,9 +141,11 @@ class Running(Generic[T]):
                 self.client.transmit(frame)
 
     def _finish(self) -> None:
-        self.finished = True
-        for frame in self.talk.closing_frames:
-            self.client.transmit(frame)
+        try:
+            for frame in self.talk.closing_frames:
+                self.client.transmit(frame)
+        finally:
+            self.finished = True  # last: another thread may wait for it, and then begin the next transfer
 
     def fail(self, error: BridgeError) -> None:
         """End the transfer with this error."""

@@ -22,10 +22,13 @@ from drivers.canopen.beside import Beside, SharedBus
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
 from drivers.canopen.eds import load_eds
+from drivers.canopen.sdo import SdoClient
+from drivers.canopen.stream import CyclicStream
 from drivers.clock import WallClock
 from drivers.drive import DriveState
-from drivers.errors import InputError, StateError
+from drivers.errors import InputError, NoAnswerError, StateError
 from drivers.scaling import AxisScaling
+from drivers.set_points import SetPointSettings
 from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave
 from sim_backends.canopen_station import attach_to_wire
@@ -314,6 +317,38 @@ def test_a_second_thread_reads_while_the_first_one_moves() -> None:
             thread.join()
         assert len(read) > 20
         assert (drive.sdo.counters.timeouts, drive.sdo.counters.stale_frames) == (0, 0)
+
+
+@pytest.mark.outside
+def test_a_stream_goes_on_while_a_second_thread_waits_for_an_answer_that_does_not_come() -> None:
+    channel = uuid.uuid4().hex
+    servo = SimulatedServo(BareShaft(), SMALL_SERVO)
+    with ExitStack() as stack:
+        stack.enter_context(served(servo, WallClock(), channel=channel, node_id=NODE))
+        link = stack.enter_context(CanLink.open(WallClock(), interface="virtual", channel=channel))
+        drive = CanOpenDrive("X", SCALING, LIMITS, link.clock, link=link, node_id=NODE, settings=SETTINGS)
+        stack.enter_context(drive)
+        drive.enable()
+        absent, unanswered = SdoClient(link, NODE + 1, "absent", timeout_s=1.0), list[BaseException]()
+
+        def asking() -> None:
+            try:
+                absent.read_bytes(0x1000, 0)
+            except NoAnswerError as error:
+                unanswered.append(error)
+
+        thread = threading.Thread(target=asking)
+        settings, late_ms = SetPointSettings(0.02, missed_limit=1000), []
+        with CyclicStream([drive], settings) as stream:
+            thread.start()
+            while thread.is_alive():
+                stream.cycle([0.0])
+                late_ms.append((link.clock.now_ns() - stream.reached_ns) / 1e6 + 20.0)  # after the SYNC of this cycle
+        thread.join()
+        assert len(unanswered) == 1
+        print(f"longest cycle: {max(late_ms):.1f} ms after its SYNC")
+        assert len(late_ms) > 50
+        assert max(late_ms) < 200.0
 
 
 def test_a_network_that_is_not_connected_is_no_bus() -> None:
