@@ -1,8 +1,8 @@
 """CanLink: one CAN bus with its clock: frames out, frames in, and waits with a time limit.
 
-There is no receiver thread: a thread that waits dispatches the frames, those of others that wait too. An exception in a handler is
-raised by the call that dispatches, and several axes share one bus without a thread each. Sending takes none of this module's locks, so
-that a stop can be sent from any thread while another one receives.
+There is no receiver thread: the first thread that waits dispatches the frames, those of other waiting threads too. An exception in a
+handler is raised by the call that dispatches, and several axes share one bus without a thread each. Sending takes none of this
+module's locks, so that a stop can be sent from any thread while another one receives.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ MOST_FAILED = 50
 more than a burst of noise brings, and over within `POLL_S` where every read fails at once."""
 
 FOLLOW_S = 0.0005
-"""While another thread takes the frames: interval at which a waiting one looks whether its own was among them, s."""
+"""While another thread dispatches: interval at which a waiting one looks whether its frame was among those, s."""
 
 _SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
@@ -83,11 +83,13 @@ class CanLink:
         self._selectable = _selectable(bus)
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
         self._subscribing = threading.Lock()
-        self._taking = threading.RLock()  # held while one frame is awaited and dispatched
+        self._dispatching = threading.RLock()
         self.talking = threading.RLock()
         """Held during an SDO access: threads that share the link take turns."""
         self._closed = False
         self._heartbeats: dict[int, tuple[float, Any]] = {}
+        self._checked_ns = 0  # last call of check_interrupt while dispatching
+        self._taken_ns = 0  # when the last frame, or piece of one, was taken
         self.sync = Sync(clock)
         self.subscribe(SYNC, self.sync.heard)
 
@@ -233,9 +235,9 @@ class CanLink:
         self.sync.take(stream)
 
     def poll(self) -> None:
-        """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Where another thread takes the frames it
-        dispatches them. Raises LinkLostError."""
-        if not self._taking.acquire(blocking=False):
+        """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Nothing while another thread dispatches.
+        Raises LinkLostError."""
+        if not self._dispatching.acquire(False):
             return
         try:
             if not self._received():
@@ -248,32 +250,35 @@ class CanLink:
                 if not self._received():
                     return
         finally:
-            self._taking.release()
+            self._dispatching.release()
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        """Dispatch frames until `done()`; False when it did not come true within `timeout_s` seconds of listening (`Listening`).
-        Raises LinkLostError.
+        """Dispatch frames until `done()`, or let another thread that waits; False when it did not come true within `timeout_s` seconds
+        of listening (`Listening`). Raises LinkLostError.
 
         Every wait for a frame goes through here. The operator's stop ends it within `IO_SLICE_S`: see `Clock.check_interrupt`.
         """
         if done():
             return True
-        now_ns = self.clock.now_ns
-        listening, received, checked_ns = Listening(timeout_s, now_ns), True, now_ns()
-        while slice_s := listening.next_slice_s(in_vain=not received):
-            received = True  # or may have been, by another thread
-            if self._taking.acquire(timeout=FOLLOW_S):
-                try:
-                    received = self._receive(slice_s)
-                finally:
-                    self._taking.release()
+        listening, received = Listening(timeout_s, self.clock.now_ns), True
+        while not self._dispatching.acquire(True, FOLLOW_S):
             if done():
                 return True
-            if not received or now_ns() - checked_ns >= _SLICE_NS:
-                checked_ns = now_ns()
-                self.clock.check_interrupt()
-        self.poll()  # frames that came in time may be in the receive buffer
-        return done()
+            if not listening.next_slice_s():
+                return False
+            self.clock.check_interrupt()
+        try:
+            while slice_s := listening.next_slice_s(in_vain=not received):
+                received = self._receive(slice_s)
+                if done():
+                    return True
+                if not received or self._taken_ns - self._checked_ns >= _SLICE_NS:
+                    self._checked_ns = self.clock.now_ns()
+                    self.clock.check_interrupt()
+            self.poll()  # frames that came in time may be in the receive buffer
+            return done()
+        finally:
+            self._dispatching.release()
 
     def _received(self) -> bool:
         """Dispatch a frame that has arrived; False when nothing waits. Raises LinkLostError.
@@ -297,7 +302,7 @@ class CanLink:
         self._failed = 0
         if message is None:
             return False
-        now_ns = self.clock.now_ns()
+        now_ns = self._taken_ns = self.clock.now_ns()
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
             self.error_frames += message.is_error_frame
             return True
@@ -316,6 +321,7 @@ class CanLink:
     def _leave_out(self, error: Exception) -> None:
         """Count a failed read. Raises LinkLostError where it shows that the adapter is gone."""
         self._failed += 1
+        self._taken_ns = self.clock.now_ns()
         if self._closed or is_gone(error):
             raise self._lost("is gone", error) from error
         if self._failed >= MOST_FAILED:
