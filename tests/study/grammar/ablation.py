@@ -25,12 +25,13 @@ from study.grammar.frozen import asked, compact
 from study.grammar.judge import Outcome, outcome
 from study.grammar.machine import LOTS, SEEDS
 
-from hil.diagnosis.model import diagnosing, verdict
+from hil.diagnosis.model import diagnosing, evidence, verdict
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.diagnosing import Case, InForce
 from hil.diagnosis.model.evidence import Noise
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
+from hil.diagnosis.model.rows import NO_MEMORY
 from hil.diagnosis.model.search import Search
 
 FACTORS = (0.5, 2.0)
@@ -51,6 +52,9 @@ PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "error of a form": (verdict.Verdict, "_is_form", lambda *_: False),
     "suspected": (Case, "_suspected", lambda case: case._nothing()),
     "bounded": (Case, "_bounded", lambda _, live: dict(live)),
+    "absorbed": (Catalogue, "_ways", lambda *_: (False,)),
+    "between rows": (Catalogue, "between_rows", lambda *_: 1.0),
+    "memory of noise": (evidence, "MEMORIES", (NO_MEMORY,)),
     "gain": (Case, "_with_gain", lambda _, taken: taken),
 }
 """Parts that can be left out, and what stands in their place."""
@@ -93,6 +97,9 @@ def watched() -> Iterator[set[str]]:
     with ExitStack() as changed:
         for name, (owner, attribute, instead) in PARTS.items():
             usual = getattr(owner, attribute)
+            if not callable(usual) and not isinstance(usual, property):
+                moved.add(name)
+                continue
             if isinstance(usual, property):
                 new: Any = property(beside(name, usual.fget, lambda _, value=instead: value))
             else:
