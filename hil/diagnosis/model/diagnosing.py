@@ -18,7 +18,7 @@ from hil.diagnosis.model.force import Folds, Force, compensated, improves
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.offer import Offer
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rows import Given, Rows, row_scale
+from hil.diagnosis.model.rows import Given, Rows
 from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import share_of
 from hil.diagnosis.model.verdict import Verdict
@@ -99,16 +99,11 @@ def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[E
 
 
 def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Fit]:
-    """The parts beside some that stay; those again with the noise of each row as the first ones leave it."""
+    """The parts beside some that stay."""
     catalogue = Catalogue(rows, effects)
     stay = catalogue.again(kept)
     search = Search(rows, catalogue, stay)
-    first = search.run(stay)
-    weighted = rows.with_scale(row_scale(first.residual, rows.campaign))
-    if score(weighted, first.parts)[0].log_p < first.log_p + USUAL.named:
-        return search, first
-    search = Search(weighted, catalogue, stay)
-    return search, search.run(first.parts)
+    return search, search.run(stay)
 
 
 def _not_corrected(name: str) -> str:

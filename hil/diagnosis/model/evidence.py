@@ -216,7 +216,7 @@ class Fit:
         self.rows, self.parts, self.noise = rows, tuple(parts), noise
         self._profile = profile = Profile(rows, parts, noise.memory)
         self._base = profile.white.shape[1] - profile.columns.shape[1]
-        self._columns, self.white, self.y = profile.columns, profile.white, profile.y
+        self.white, self.y = profile.white, profile.y
         self.ridge = profile.ridge(noise.log_sd)
         gram = profile.gram(noise.log_sd)
         self.inverse = inverse_of_lower(np.linalg.cholesky(gram[:-1, :-1]))
@@ -244,12 +244,6 @@ class Fit:
     def covariance(self) -> Floats:
         """Of all coefficients, µm²."""
         return np.asarray(self.inverse.T @ self.inverse * self.sigma**2)
-
-    @property
-    def residual(self) -> Floats:
-        """Of each row over its scale, the memory of the noise left in, µm, (n,)."""
-        design = np.hstack([self.rows.random, self.rows.fixed, self._columns])
-        return np.asarray((self.rows.y - design @ self.beta) / self.rows.scale)
 
     def of_table(self) -> Ints:
         """Where the coefficients of the table's columns are, in the order of `ShapeColumns.stacked`."""

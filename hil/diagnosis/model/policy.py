@@ -16,7 +16,6 @@ class Policy:
         form, and of which a rough table leaves no more is not told from the table
     correlated: scale of noise that stays from row to row, in white noise: of the half-normal prior on its memory, and of the
         half-Cauchy one on offsets of runs
-    dof: degrees of freedom of the prior on the variance of a group of rows, and of each row where the tails are heavy: Student's t
     few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away
     largest: RMS of an effect over that of the errors, from which another would have to undo it; and its largest value on the travel
         over that on the rows
@@ -28,7 +27,6 @@ class Policy:
     temperature: float = 2.0
     share: float = 0.33
     correlated: float = 0.4
-    dof: float = 5.0
     few: float = 0.01
     outlier: float = 6.0
     largest: float = 2.0

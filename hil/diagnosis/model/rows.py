@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, Floats, Ints, Singles
 from hil.diagnosis.model.numeric import inverse_of_lower
-from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.table import DeclaredShape, Shape, SplineShape
 from hil.effects import Term
 from hil.effects.model import Model
@@ -24,8 +23,6 @@ Real = TypeVar("Real", np.float32, np.float64)
 
 LONGEST = 125
 """Rows of a run over which its memory is followed; of longer runs each such stretch has its own."""
-SLOWEST_SCALE = 4.0
-"""Multiples of the usual residual at which one row counts for the scale of its group."""
 LEFT_OUT = 1e4
 """Noise of rows that are left out, over their own."""
 MOST_BYTES = 4_000_000
@@ -179,16 +176,12 @@ class Rows:
         """Random columns of the table in the order of `ShapeColumns.stacked`."""
         return np.concatenate([np.flatnonzero(self.group == kind) for kind in (EVEN, ODD, GIVEN)]).astype(np.int64)
 
-    def with_scale(self, scale: Floats) -> Rows:
-        """The same rows with another noise by row."""
-        other = copy(self)
-        other.scale = scale
-        other._white, other._reduced = {}, {}
-        return other
-
     def without(self, out: NDArray[np.bool_]) -> Rows:
         """The same rows, of which those left out count for nothing."""
-        return self.with_scale(self.scale * np.where(out, LEFT_OUT, 1.0))
+        other = copy(self)
+        other.scale = self.scale * np.where(out, LEFT_OUT, 1.0)
+        other._white, other._reduced = {}, {}
+        return other
 
     @cached_property
     def stretches(self) -> list[slice]:
@@ -253,39 +246,3 @@ class Rows:
                 log_noise -= 2.0 * sum(float(np.sum(np.log(np.diag(root)))) for root in roots)
             self._white[memory] = Whitened(base, base.T @ base, y, log_noise)
         return self._white[memory]
-
-
-def row_scale(residual: Floats, campaign: CampaignRows) -> Floats:
-    """Relative standard deviation of each row's noise, (n,), geometric mean 1, from what a fit leaves.
-
-    Robust, by run, speed and quarter of the travel; where the tails are heavy by row too, which are Student's weights. Each variance
-    has a scaled inverse χ² prior about 1.
-    """
-    size = np.abs(residual)
-    usual = max(float(np.median(size)), 1e-12)
-    size = np.minimum(size, SLOWEST_SCALE * usual)
-    scale = np.ones(len(residual))
-    quarter = np.searchsorted(np.quantile(campaign.x, [0.25, 0.5, 0.75]), campaign.x)
-    for group in (campaign.run, _speed_class(campaign), quarter):
-        for one in np.unique(group):
-            mine = group == one
-            own, count = float(np.median(size[mine] / scale[mine])) / usual, float(np.sum(mine))
-            scale[mine] *= math.sqrt((count * own**2 + USUAL.dof) / (count + USUAL.dof))
-    z = residual / scale
-    z = z / max(1.4826 * float(np.median(np.abs(z))), 1e-12)
-    sd = max(float(np.std(z)), 1e-12)
-    normal = float(np.sum(-0.5 * (z / sd) ** 2)) - len(z) * math.log(sd * math.sqrt(2.0 * math.pi))
-    peak = math.lgamma((USUAL.dof + 1.0) / 2.0) - math.lgamma(USUAL.dof / 2.0) - 0.5 * math.log(USUAL.dof * math.pi)
-    student = len(z) * peak - 0.5 * (USUAL.dof + 1.0) * float(np.sum(np.log1p(z * z / USUAL.dof)))
-    if student > normal + USUAL.named:
-        scale = scale * np.sqrt((USUAL.dof + z**2) / (USUAL.dof + 1.0))
-    return np.asarray(scale / np.exp(np.mean(np.log(scale))))
-
-
-def _speed_class(campaign: CampaignRows) -> Ints:
-    if "velocity_mm_s" not in campaign.columns:
-        return np.zeros(len(campaign), dtype=np.int64)
-    speed = np.round(np.abs(campaign.columns["velocity_mm_s"]), 3)
-    if len(np.unique(speed)) <= 8:
-        return np.unique(speed, return_inverse=True)[1].astype(np.int64)
-    return np.searchsorted(np.quantile(speed, [0.25, 0.5, 0.75]), speed).astype(np.int64)

@@ -25,7 +25,7 @@ from study.grammar.frozen import asked, compact
 from study.grammar.judge import Outcome, outcome
 from study.grammar.machine import LOTS, SEEDS
 
-from hil.diagnosis.model import diagnosing, evidence, verdict
+from hil.diagnosis.model import evidence, verdict
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.diagnosing import Case, InForce
 from hil.diagnosis.model.evidence import Noise
@@ -47,7 +47,6 @@ PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "usual offsets": (Noise, "has_large_offsets", False),
     "refined": (Catalogue, "refined", lambda _, ranked: ranked),
     "richer forms": (Catalogue, "richer", lambda *_: ()),
-    "scale of rows": (diagnosing, "row_scale", lambda residual, _: np.ones(len(residual))),
     "relay": (verdict.Verdict, "_switched", lambda *_: False),
     "error of a form": (verdict.Verdict, "_is_form", lambda *_: False),
     "suspected": (Case, "_suspected", lambda case: case._nothing()),
