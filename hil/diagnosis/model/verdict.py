@@ -23,8 +23,6 @@ LEAST = 0.02
 """Confidence below which a rival is not named."""
 ALIKE = 0.95
 """Rank correlation from which two columns are equivalent as carriers."""
-FORM = frozenset({"target_mm", "direction", "time_s", "row_order"})
-"""Columns beside those of an effect along which its form may be wrong."""
 CLOCKS = frozenset({"run", "time_s", "row_order"})
 """Columns that only count: what happens once happens at one of their values."""
 
@@ -142,7 +140,7 @@ class Verdict:
 
     @cached_property
     def carriers(self) -> tuple[Carrier, ...]:
-        """What carries the remainders, the largest first; those of the same columns are one, the error of a form is none."""
+        """What carries the remainders, the largest first; those of the same columns are one."""
         left: dict[frozenset[str], list[Part]] = {}
         for part in self.parts:
             if part.is_remainder:
@@ -151,8 +149,6 @@ class Verdict:
         for parts in left.values():
             course = self._beside_table(np.sum([self.fit.course_um(part) for part in parts], axis=0))
             size = float(np.std(course))
-            if self._is_form(parts[0], size):
-                continue
             std = self._rms_std(parts, course)
             others = [one for one in self.parts if one not in parts]
             gain = self.search.log_p(self.parts) - self.search.log_p(others)
@@ -166,14 +162,6 @@ class Verdict:
         at = np.concatenate([every[self.fit.where(part, kind)] for part in parts for kind in ("random", "free")])
         columns = np.hstack([getattr(part, kind) for part in parts for kind in ("random", "free")])
         return _std_of_rms(columns, course, self.fit.covariance[np.ix_(at, at)])
-
-    def _is_form(self, part: Part, size_um: float) -> bool:
-        """Whether a remainder is the error of the form of an effect in the same columns."""
-        for name, parts in self.groups.items():
-            own = {column for one in parts for column in one.names}
-            if set(part.names) <= own | FORM and size_um < USUAL.share * float(np.std(self.course_um(name))):
-                return True
-        return False
 
     def _equivalent(self, names: Sequence[str]) -> dict[str, tuple[str, ...]]:
         """By column, the others that move with it."""
