@@ -12,8 +12,7 @@ class Policy:
     named: log odds, its grid paid for, from which a part is there (150 to 1)
     richer: prior log odds against a richer form and a further term of an effect that is there; physics out of its range has twice that
     temperature: divisor of log odds before they become a confidence, since no form is exactly right
-    share: part of an effect's RMS that is too little to be told apart: a remainder in its own columns below it is the error of its
-        form, and of which a rough table leaves no more is not told from the table
+    share: part of an effect's RMS that a rough table must leave for it to be told from the table
     correlated: scale of noise that stays from row to row, in white noise: of the half-normal prior on its memory, and of the
         half-Cauchy one on offsets of runs
     few: share of the rows on which no effect may rest alone, unless they are more than `outlier` white noise away

@@ -139,7 +139,7 @@ class Table:
 
 
 class Rows:
-    """y = fixed a + random b + … + scale (ε + memory), all over the white noise. given: the declared model, or None for a table that
+    """y = fixed a + random b + … + ε + memory, all over the white noise; scale: of each row, of those left out large. given: the declared model, or None for a table that
     is fitted from these rows."""
 
     def __init__(self, campaign: CampaignRows, given: Given | None = None) -> None:
