@@ -141,7 +141,7 @@ class Table:
 class Rows:
     """y = fixed a + random b + … + ε + memory, all over the white noise.
 
-    given: the declared model, or None for a table that is fitted from these rows; scale: of the noise of each row, large of those left out
+    given: the declared model, or None for a table that is fitted from these rows; scale: of each row's noise, large of those left out
     """
 
     def __init__(self, campaign: CampaignRows, given: Given | None = None) -> None:

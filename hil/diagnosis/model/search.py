@@ -192,12 +192,35 @@ class Search:
     def _other(self, parts: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
         """The parts with others in the place of one, where that is worth more."""
         others = _without(parts, part)
+        together = self._effects_instead(others, part) if _is_flexible(part) else None
+        if together is not None:
+            return together
         for best in self.alternatives(others)[:2]:
             trial = (*others, best.part)
             if best.log_p <= self.log_p(parts) or self.rests_on_few(others, best):
                 continue
             if self._rises(trial, parts):
                 return trial
+        return None
+
+    def _effects_instead(self, others: tuple[Part, ...], part: Part) -> tuple[Part, ...] | None:
+        """Effects in the place of a flexible part that holds several, where they are worth more than this.
+
+        Each may show beside it, or beside a course of time, and not alone. The next effect gains less than the last one: where that
+        gained less than is missing, no two do.
+        """
+        parts = (*others, part)
+        current = others if part.is_remainder else parts
+        for _ in range(3):
+            best = next(iter(self.alternatives(current, remainder=False)), None)
+            if best is None or self.log_p(parts) - best.log_p > best.log_p - self.log_p(current):
+                return None
+            current = (*current, best.part)
+            for trial in (current, tuple(one for one in current if one in others or not _is_flexible(one))):
+                if part not in trial and self.log_p(trial) > self.log_p(parts):
+                    needed = self._needed(trial)
+                    if self._rises(needed, parts):
+                        return needed
         return None
 
 
@@ -213,3 +236,8 @@ def _first(ranked: Sequence[Ranked], most: int, of_one: int) -> list[Ranked]:
         if mine < of_one and len(found) < most:
             found.append(one)
     return found
+
+
+def _is_flexible(part: Part) -> bool:
+    """Whether a part follows any course: a remainder, or a reading that wanders."""
+    return part.is_remainder or (part.of is not None and part.of.form.shrunk)

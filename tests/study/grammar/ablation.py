@@ -41,6 +41,7 @@ PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "rows in cycles": (Remainder, "_of_rows", lambda *_: ()),
     "states in time": (Remainder, "_in_time", lambda *_: ()),
     "waves along the travel": (Remainder, "_along", lambda *_: ()),
+    "effects instead": (Search, "_effects_instead", lambda *_: None),
     "few rows": (Search, "rests_on_few", lambda *_: False),
     "ranges": (Search, "_against", lambda *_: 0.0),
     "usual offsets": (Noise, "has_large_offsets", False),
