@@ -10,7 +10,7 @@ from iminuit import Minuit
 from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
-from hil.diagnosis.model.candidates import Catalogue
+from hil.diagnosis.model.candidates import Catalogue, Ranked
 from hil.diagnosis.model.evidence import Candidate, Fit, Noise
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.rows import NO_MEMORY, Rows
@@ -60,13 +60,13 @@ def fitted(rows: Rows, effect: Effect, form_name: str) -> tuple[Fit, Candidate, 
     catalogue = Catalogue(rows, (effect,))
     bare = Fit(rows, (), WHITE)
     form = next(f for f in effect.forms(rows.campaign.survey) if form_name in ("", f.name) and not f.exhaustive)
-    trials = [catalogue.part(Candidate(effect, form, theta), 0.0) for theta in form.starts]
-    part = max(trials, key=lambda one: bare.gain(one.free))
+    trials = [Ranked(0.0, Candidate(effect, form, theta), 0.0, bare) for theta in form.starts]
+    best = max(trials, key=lambda one: bare.gain(catalogue.part(one.candidate, 0.0).free))
     for _ in range(4):
-        part = catalogue.refined(part, bare)
+        best = catalogue.refined(best)
+    part = catalogue.part(best.candidate, 0.0)
     fit = Fit(rows, (part,), WHITE)
-    assert part.of is not None
-    return fit, part.of, terms_of(fit)[part]
+    return fit, best.candidate, terms_of(fit)[part]
 
 
 def searched(name: str, seed: int = 3) -> tuple[Fit, Candidate, Term]:
