@@ -9,7 +9,8 @@ import pytest
 from support.campaigns import Array, Errors, campaign, wavy
 
 from hil.diagnosis import diagnose, fit_model
-from hil.diagnosis.campaign import columns_of
+from hil.diagnosis.campaign import columns_of, prepare
+from hil.diagnosis.follow_up import diagnosed
 from hil.diagnosis.result import OUTSIDE, Diagnosis
 from hil.effects import Action
 from hil.effects.model import Model, PitchTable
@@ -231,3 +232,41 @@ def test_a_lag_is_no_backlash_of_a_temperature_that_differs_between_the_feeds_by
     found = diagnose(Records.of(columns), Model(nothing, ()))
     assert [finding.effect for finding in found.findings] == ["velocity_lag"]
     assert [term.effect.id for term in found.extended.terms] == ["velocity_lag"]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_declared_table_that_was_measured_with_some_of_an_effect_is_set_right(seed: int) -> None:
+    """It holds the mean deflection of its own campaign. Nothing else is named for it, and a third campaign is corrected."""
+
+    def loaded(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
+        return {"load_kg": rng.permutation([0.0, 50.0, 100.0, 0.0, 50.0, 100.0])[c["run"].astype(int) - 1]}
+
+    first, second, third = (
+        campaign(lambda c: wavy(c) + 1e-4 * c["load_kg"] * x(c), sensors=loaded, seed=seed + more)
+        for more in (0, 50, 90)
+    )
+    found = diagnose(second, fit_model(first))
+    assert [finding.effect for finding in found.findings] == ["load_deflection"]
+    left_um = prepare(third).error_um - found.extended.error_um(columns_of(third))
+    assert np.sqrt(np.mean(left_um**2)) < 0.36
+
+
+def test_the_size_of_two_cycles_of_near_periods_is_as_sure_as_their_sum() -> None:
+    """The amplitude of each may be many times as uncertain: 144 rows of 0.3 µm determine the sum within 0.025 µm."""
+
+    def both(c: dict[str, Array]) -> Array:
+        return wavy(c) + 2.0 * np.sin(2.0 * np.pi * x(c) / 10.0) + 2.0 * np.sin(2.0 * np.pi * x(c) / 10.3 + 1.0)
+
+    (finding,) = diagnose(campaign(both, seed=2)).findings
+    assert len(finding.terms) == 2
+    assert 0.0125 < finding.rms_std_um < 0.05
+
+
+@pytest.mark.parametrize("period_mm", [100.0, 120.0])
+def test_rivals_are_not_weighed_by_rows_that_show_nothing_of_the_effect(period_mm: float) -> None:
+    """Beside the declared table a long cycle is sure; a table of these rows' own would hold it, and every rival would weigh more."""
+    nothing = Model(PitchTable.of(np.linspace(0.0, 300.0, 13), np.zeros(13), np.zeros(13)), ())
+    records = campaign(lambda c: 2.0 * np.sin(2.0 * np.pi * x(c) / period_mm + 1.0), scatter=0.2)
+    (finding,) = diagnosed(records, nothing).diagnosis.findings
+    assert finding.effect == "cyclic"
+    assert finding.confidence > 0.99
