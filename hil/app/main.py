@@ -69,10 +69,7 @@ VERBS = {
         "diagnosis.command_options:add_close_loop",
         "calibrate, verify warm, diagnose, extend, measure again",
     ),
-    "campaign": (
-        "diagnosis.command_options:add_campaign",
-        "design a measuring campaign, or check what one can show",
-    ),
+    "campaign": ("diagnosis.command_options:add_campaign", "design a measuring campaign, or check what one can show"),
     "diagnose": ("diagnosis.command_options:add_diagnose", "trace what is left to an effect"),
     "fit": ("diagnosis.command_options:add_fit", "a baseline model from records"),
     "apply": ("diagnosis.command_options:add_apply", "the correction of a model for each row of records"),
@@ -85,10 +82,7 @@ VERBS = {
     "fleet": ("fleet.command_options:add_parser", "many axes over years: index, what ages, comparison, causes"),
     "report": ("report.command_options:add_parser", "one HTML file from records: plots, ISO 230-2 figures, data"),
     "export": ("files.controller_options:add_export", "the tables as a controller's file"),
-    "import": (
-        "files.controller_options:add_import",
-        "a controller's table, or measurements of another program",
-    ),
+    "import": ("files.controller_options:add_import", "a controller's table, or measurements of another program"),
     "seal": ("files.command_options:add_seal", "lock files: encrypted, signed by the builder"),
     "open": ("files.command_options:add_open", "read a sealed file"),
     "sign": ("files.command_options:add_sign", "sign a file with the builder's key, or make the key"),

@@ -149,10 +149,7 @@ def _add_machine(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--seed", type=int, help="which of the machines of that name (default 0)")
     group.add_argument(
-        "--kind",
-        choices=INSTRUMENT_KINDS,
-        default="umd",
-        help="the instrument (default: umd, the µMD laser)",
+        "--kind", choices=INSTRUMENT_KINDS, default="umd", help="the instrument (default: umd, the µMD laser)"
     )
     group.add_argument(
         "--rate",

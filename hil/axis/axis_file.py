@@ -278,9 +278,7 @@ class AxisConfig(DriveAxis):
                 for name, value in asdict(self.measurement).items()
                 if name != "reference_within_um"
             },
-            "correction": {
-                **_purpose_of(self.correction),
-            },
+            "correction": {**_purpose_of(self.correction)},
         }
 
 

@@ -11,30 +11,13 @@ from nicegui import ui
 
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
-from hil.calibration.job import (
-    CALIBRATE,
-    ENTER,
-    MANUAL,
-    STRAIGHTNESS,
-    UNCORRECTED,
-    VERIFY,
-    WITHDRAW,
-    with_signs,
-)
+from hil.calibration.job import CALIBRATE, ENTER, MANUAL, STRAIGHTNESS, UNCORRECTED, VERIFY, WITHDRAW, with_signs
 from hil.calibration.page_data import CalibrationScreen, Resumable, calibration_screen
 from hil.calibration.pages.result import draw_accuracy, draw_band, draw_curves, draw_figures
 from hil.calibration.pages.typed_tables import TypedTables, across_axis, across_of, asking
 from hil.desk.progress import Progress
 from hil.figures.verdict import Decision
-from hil.ui.screen.pieces import (
-    Reading,
-    Steps,
-    draw_ready,
-    draw_where,
-    lead,
-    measured_checks,
-    tables_check,
-)
+from hil.ui.screen.pieces import Reading, Steps, draw_ready, draw_where, lead, measured_checks, tables_check
 from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished

@@ -59,10 +59,7 @@ class CorrectionBound:
         nodes = np.asarray(position_mm, dtype=np.float64)
         curves = {sign: np.asarray(curve, dtype=np.float64) for sign, curve in curves_um.items()}
         self.check_values(
-            what,
-            np.tile(nodes, len(curves)),
-            np.repeat(list(curves), len(nodes)),
-            np.concatenate([*curves.values()]),
+            what, np.tile(nodes, len(curves)), np.repeat(list(curves), len(nodes)), np.concatenate([*curves.values()])
         )
         changes = [(*_largest_change(nodes, curve), sign) for sign, curve in curves.items()]
         change_um, from_mm, to_mm, sign = max(changes)

@@ -15,14 +15,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from drivers.files import read_text, table_rows
-from hil.correction.tables import (
-    Band,
-    DirectionalTable,
-    SignedSections,
-    SingleTable,
-    TableMode,
-    TableSet,
-)
+from hil.correction.tables import Band, DirectionalTable, SignedSections, SingleTable, TableMode, TableSet
 from hil.records.files import split_lines
 from hil.records.rows import Floats, parse_number, repeats, shown
 

@@ -84,14 +84,7 @@ def _straight_pieces_at(s: float, lengths: Sequence[float], amounts: Sequence[fl
     return sum(amounts[:k]) + amounts[k] * (s - start) / (lengths[k] - start)
 
 
-TWO_TANH = Shape(
-    "two tanh",
-    _two_tanh,
-    _two_tanh_at,
-    _two_tanh_settled,
-    rises=2,
-    onsets=1,
-)
+TWO_TANH = Shape("two tanh", _two_tanh, _two_tanh_at, _two_tanh_settled, rises=2, onsets=1)
 TANH = Shape(
     "tanh",
     lambda s, lengths: np.tanh(s / lengths[0])[:, None],

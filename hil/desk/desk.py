@@ -13,14 +13,7 @@ import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 
-from drivers.errors import (
-    DriveFaultError,
-    LocalError,
-    MeasurementLostError,
-    SafetyError,
-    StateError,
-    TransportError,
-)
+from drivers.errors import DriveFaultError, LocalError, MeasurementLostError, SafetyError, StateError, TransportError
 from hil.axis.axis_file import DriveAxis
 from hil.correction.sealed.errors import WrongPasswordError
 from hil.desk.asking import Pending
@@ -166,11 +159,7 @@ class Desk:
 
     # -- for the person in control -------------------------------------------------------------------------------------
     def run(
-        self,
-        token: str | None,
-        job: Job,
-        lent: Mapping[Desk, str | None] | None = None,
-        changes: Iterable[str] = (),
+        self, token: str | None, job: Job, lent: Mapping[Desk, str | None] | None = None, changes: Iterable[str] = ()
     ) -> None:
         """Start a job. lent: other desks whose axes the job connects itself, with their tokens; changes: what it writes, for the log.
 

@@ -77,16 +77,7 @@ class EventLog:
         for entry in _read(path):
             self._take(entry)
 
-    def add(
-        self,
-        kind: Kind,
-        what: str,
-        *,
-        who: str = "",
-        cause: str = "",
-        remedy: str = "",
-        **figures: str,
-    ) -> Entry:
+    def add(self, kind: Kind, what: str, *, who: str = "", cause: str = "", remedy: str = "", **figures: str) -> Entry:
         """Add an entry, in memory and on disk."""
         with self._lock:
             when = datetime.now().astimezone().isoformat(timespec="milliseconds")

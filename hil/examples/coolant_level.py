@@ -30,11 +30,7 @@ class CoolantLevel(Effect):
     def forms(self, survey: Survey) -> tuple[Form, ...]:
         if not survey.has(LEVEL):
             return ()
-        constants = {
-            "mean_mm": survey.mean[LEVEL],
-            "centre_mm": survey.centre_mm,
-            "half_span_mm": survey.half_span_mm,
-        }
+        constants = {"mean_mm": survey.mean[LEVEL], "centre_mm": survey.centre_mm, "half_span_mm": survey.half_span_mm}
         return (
             Form(self.id, "offset", (LEVEL,), constants),
             Form(self.id, "with position", (LEVEL, "target_mm"), constants),

@@ -19,11 +19,7 @@ from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects.model import FORMAT as MODEL_FORMAT
 from hil.effects.model import Model
 from hil.effects.user_effects import catalogue_with
-from hil.files.controller_options import (
-    CONTROLLER_OPTIONS,
-    as_typed,
-    settings_from,
-)
+from hil.files.controller_options import CONTROLLER_OPTIONS, as_typed, settings_from
 from hil.records.files import naming, parse_json
 from hil.ui.terminal.axis_options import open_store
 from hil.ui.terminal.output import print_facts, write_json

@@ -14,12 +14,7 @@ from hil.correction.formats.common import both_directions
 from hil.correction.formats.measured_csv import parse_column
 from hil.correction.manual import manual_text
 from hil.correction.tables import TableSet
-from hil.files.controller_options import (
-    CONTROLLER_OPTIONS,
-    MEASUREMENT_OPTIONS,
-    as_typed,
-    settings_from,
-)
+from hil.files.controller_options import CONTROLLER_OPTIONS, MEASUREMENT_OPTIONS, as_typed, settings_from
 from hil.records.files import naming
 from hil.records.rows import Records, to_csv
 from hil.ui.terminal.output import print_facts, write_json

@@ -74,11 +74,7 @@ def _dask(scheduler: str) -> Iterator[tuple[Executor, int]]:
 
 
 def completed(
-    work: Callable[[Task], Result],
-    tasks: Iterable[Task],
-    *,
-    scheduler: str | None = None,
-    processes: int | None = None,
+    work: Callable[[Task], Result], tasks: Iterable[Task], *, scheduler: str | None = None, processes: int | None = None
 ) -> Iterator[tuple[Task, Result]]:
     """Each task with its result, as they are done, in any order. work: a function of a module, with a result that
     can be pickled.

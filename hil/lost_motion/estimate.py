@@ -96,11 +96,7 @@ class Estimate:
             "typed": self.typed,
             "choice": self.choice if self.contenders else "",
             "contenders": [
-                {
-                    "rise": one.fitted.rise.to_json(),
-                    "rms_um": one.rms_um,
-                    "held_out_rms_um": one.held_out_rms_um,
-                }
+                {"rise": one.fitted.rise.to_json(), "rms_um": one.rms_um, "held_out_rms_um": one.held_out_rms_um}
                 for one in self.contenders
             ],
         }

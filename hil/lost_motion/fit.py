@@ -182,10 +182,7 @@ def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float 
 
 
 def compete(
-    reversals: Sequence[MeasuredReversal],
-    block_mm: float,
-    shapes: Sequence[Shape] = SHAPES,
-    table: bool = True,
+    reversals: Sequence[MeasuredReversal], block_mm: float, shapes: Sequence[Shape] = SHAPES, table: bool = True
 ) -> tuple[Contender, ...]:
     """The shapes by cross-validation, the one with the least held-out RMS first.
 

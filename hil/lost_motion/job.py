@@ -18,12 +18,7 @@ from hil.desk.job import Job, Workplace, tell_unchecked
 from hil.desk.plan import Move, Plan, Write, going_on
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.lost_motion.measured import ReversalResult
-from hil.lost_motion.procedure import (
-    NoLostMotionError,
-    measure_lost_motion,
-    proof_steps,
-    stroke_steps,
-)
+from hil.lost_motion.procedure import NoLostMotionError, measure_lost_motion, proof_steps, stroke_steps
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, Point, silent
 from hil.machine.machine import Machine

@@ -15,13 +15,7 @@ from hil.lost_motion import job as lost_motion
 from hil.lost_motion.circle.page import draw_circle
 from hil.lost_motion.estimate import separately_determined
 from hil.lost_motion.measured import ReversalResult
-from hil.lost_motion.page_data import (
-    KeptLostMotion,
-    kept_lost_motion,
-    lost_motion_screen,
-    proof_points,
-    rise_curves,
-)
+from hil.lost_motion.page_data import KeptLostMotion, kept_lost_motion, lost_motion_screen, proof_points, rise_curves
 from hil.records.rows import UM_PER_MM
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
@@ -209,10 +203,7 @@ def _rise(view: View, measured: ReversalResult, *, beginning: bool) -> Options:
 def _moves(view: View, measured: ReversalResult) -> Options:
     t = view.t
     before, after = proof_points(measured.raw.proof)
-    drawn = [
-        Curve(t("lost_motion.without"), before, 1, "circle"),
-        Curve(t("lost_motion.with"), after, 2, "diamond"),
-    ]
+    drawn = [Curve(t("lost_motion.without"), before, 1, "circle"), Curve(t("lost_motion.with"), after, 2, "diamond")]
     return curves(view, t("lost_motion.move_x"), t("lost_motion.left_y"), drawn)
 
 

@@ -14,12 +14,7 @@ from hil.machine.links import Links, guarded
 
 
 def canopen_drive(
-    axis: DriveAxis,
-    clock: Clock,
-    bus: tuple[str, str],
-    stack: ExitStack,
-    *,
-    links: Links | None = None,
+    axis: DriveAxis, clock: Clock, bus: tuple[str, str], stack: ExitStack, *, links: Links | None = None
 ) -> CanOpenDrive:
     """The CANopen drive of an axis file, not opened. bus: python-can's interface and channel."""
     config, homing, (interface, channel) = axis.drive, axis.drive.homing, bus

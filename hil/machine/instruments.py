@@ -38,11 +38,7 @@ def _gauge(display: DisplayConfig, config: InstrumentConfig, port: str, clock: C
     from drivers.instruments.nd2xx import Nd2xxDecoder
 
     line = SerialLink(
-        port,
-        baudrate=display.baud,
-        bytesize=display.data_bits,
-        parity=display.parity,
-        stopbits=display.stop_bits,
+        port, baudrate=display.baud, bytesize=display.data_bits, parity=display.parity, stopbits=display.stop_bits
     )
     protocol: ValueProtocol
     if config.kind == "nd2xx":

@@ -14,14 +14,7 @@ from itertools import pairwise
 
 from drivers.clock import NS_PER_S
 from drivers.drive import FAULTS, DriveSample, DriveState, ServoDrive
-from drivers.errors import (
-    DriveFaultError,
-    LimitError,
-    LinkLostError,
-    MeasurementLostError,
-    OverspeedError,
-    StateError,
-)
+from drivers.errors import DriveFaultError, LimitError, LinkLostError, MeasurementLostError, OverspeedError, StateError
 from drivers.instrument import DistanceInstrument, Reading, ReadingStatus
 from hil.axis.agreement import AgreementLimits
 from hil.machine.instrument_check import RATE_OVER_S, Agreement

@@ -26,13 +26,7 @@ Exit status 1: the drive holds something else than asked for; the report says wh
 """
 
 
-def _add_job(
-    jobs: Subparsers,
-    name: str,
-    what: str,
-    *,
-    sets: str | None = None,
-) -> argparse.ArgumentParser:
+def _add_job(jobs: Subparsers, name: str, what: str, *, sets: str | None = None) -> argparse.ArgumentParser:
     """Add a job on one or several axis files, with `--json`. sets: help text of `--set`, None for a job without it."""
     parser = jobs.add_parser(
         name, help=what, description=what, epilog=EXAMPLE, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -103,10 +97,7 @@ def _add_writing(jobs: Subparsers) -> None:
     )
     parser.set_defaults(own_plan=True)
     store = _add_job(
-        jobs,
-        "store",
-        "have the drive keep its parameters when it is switched off",
-        sets="what it must hold for that",
+        jobs, "store", "have the drive keep its parameters when it is switched off", sets="what it must hold for that"
     )
     restore = _add_job(
         jobs, "restore", "write back what was there before the last download, or a backup", sets="a backup"

@@ -75,12 +75,7 @@ class Comparison:
             "notes": self.notes,
             "objections": [vars(each) for each in self.objections],
             "parameters": [
-                {
-                    **vars(row),
-                    "side": row.side.value,
-                    "held": plain(row.held),
-                    "wanted": plain(row.wanted),
-                }
+                {**vars(row), "side": row.side.value, "held": plain(row.held), "wanted": plain(row.wanted)}
                 for row in self.rows
             ],
             "download": {**vars(self.cost), "answer_s": self.answer_s},

@@ -9,14 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
 
-from drivers.errors import (
-    AbortError,
-    BridgeError,
-    InputError,
-    LinkLostError,
-    RemoteError,
-    TransportError,
-)
+from drivers.errors import AbortError, BridgeError, InputError, LinkLostError, RemoteError, TransportError
 from drivers.raw_parameters import (
     SETTLE_S,
     Access,
@@ -119,12 +112,7 @@ class DriveTask:
 
     # -- bringing the drive to what is wanted ----------------------------------------------------------------------------
     def bring(
-        self,
-        goals: Mapping[str, bytes],
-        present: Mapping[str, bytes],
-        *,
-        starts: int,
-        prove_all: bool = False,
+        self, goals: Mapping[str, bytes], present: Mapping[str, bytes], *, starts: int, prove_all: bool = False
     ) -> Steps[list[str]]:
         """Write the goals that differ from `present`, and read them back; returns the addresses written, in order.
 
@@ -144,12 +132,7 @@ class DriveTask:
             raise LinkLostError(f"drive {drive.name} restarted meanwhile")
         return ordered
 
-    def _ordered(
-        self,
-        differing: Sequence[str],
-        present: Mapping[str, bytes],
-        goals: Mapping[str, bytes],
-    ) -> list[str]:
+    def _ordered(self, differing: Sequence[str], present: Mapping[str, bytes], goals: Mapping[str, bytes]) -> list[str]:
         pairs = self.drive.limit_pairs
         crossing = uncrossed(pairs, self._numbers(pairs, present), self._numbers(pairs, goals))
         return in_order(differing, self.drive.rank, self.after, crossing)

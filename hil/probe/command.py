@@ -25,11 +25,7 @@ from sim_backends.probe_bench import ProbeBench
 
 
 def print_measured(
-    config: ProbeMachineConfig,
-    measured: RunOutMeasurement,
-    refusal: str | None,
-    path: Path,
-    bench: ProbeBench | None,
+    config: ProbeMachineConfig, measured: RunOutMeasurement, refusal: str | None, path: Path, bench: ProbeBench | None
 ) -> None:
     rows = [
         [
@@ -146,10 +142,7 @@ def run_measure(args: argparse.Namespace) -> int:
         print_measure_plan(config, args.mode or config.probe.mode)
         return 0
     store = _open_store(args, config, writing=True)
-    with (
-        terminal_progress() as listener,
-        probe.at_machine(config, store, in_bore=False, listener=listener) as place,
-    ):
+    with terminal_progress() as listener, probe.at_machine(config, store, in_bore=False, listener=listener) as place:
         once = partial(_measure_once, args, place)
         if args.every is None:
             return 0 if once() is None else 1

@@ -10,14 +10,7 @@ from drivers.clock import NS_PER_S, Clock
 from drivers.errors import FollowingErrorError, MotionTimeoutError, StateError
 from hil.machine.events import Event, Listener, Measured, silent
 from hil.probe.codes import CodeError, HandShake, Phase
-from hil.probe.machine_file import (
-    AngleConfig,
-    BossConfig,
-    FaceConfig,
-    Feature,
-    ProbeMachineConfig,
-    ReferenceConfig,
-)
+from hil.probe.machine_file import AngleConfig, BossConfig, FaceConfig, Feature, ProbeMachineConfig, ReferenceConfig
 from hil.probe.runout import (
     ANGLES_DEG,
     Ball,

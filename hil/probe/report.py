@@ -207,10 +207,7 @@ def _number(text: str) -> float:
 
 
 def run_out_report(
-    config: ProbeMachineConfig,
-    measured: RunOutMeasurement,
-    refusal: str | None,
-    history: Sequence[Mapping[str, str]],
+    config: ProbeMachineConfig, measured: RunOutMeasurement, refusal: str | None, history: Sequence[Mapping[str, str]]
 ) -> str:
     return render_probe(
         ProbeReport(

@@ -35,14 +35,7 @@ from hil.machine.links import Links
 from hil.machine.modbus_wiring import modbus_drive
 from hil.machine.supervisor import finish_despite_interrupt
 from hil.machine.wiring import hardware_drive
-from hil.probe.machine_file import (
-    AngleConfig,
-    BossConfig,
-    Feature,
-    ProbeConfig,
-    ProbeMachineConfig,
-    ReferenceConfig,
-)
+from hil.probe.machine_file import AngleConfig, BossConfig, Feature, ProbeConfig, ProbeMachineConfig, ReferenceConfig
 from hil.probe.session import ControlWires, ProbeSession, ProbeSignal
 from hil.records.rows import UM_PER_MM
 from sim_backends.canopen_in_turn import drives_in_turn

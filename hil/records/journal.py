@@ -229,10 +229,7 @@ class Campaign:
         """
         path = self.directory / f"{name}.csv"
         try:
-            with (
-                self._chain() as chain,
-                RowJournal(path, columns, comment, chain) as journal,
-            ):
+            with self._chain() as chain, RowJournal(path, columns, comment, chain) as journal:
                 if not len(journal):
                     journal.note(f"{BEGUN}{datetime.now().astimezone().isoformat(timespec='seconds')}{CHAINED}")
                 yield journal

@@ -41,10 +41,7 @@ def add_parser(subparsers: Subparsers) -> None:
         help="the report; an older one is replaced (needed unless --certificate or --dcc is given)",
     )
     parser.add_argument(
-        "--label",
-        metavar="TEXT",
-        action="append",
-        help="name of a campaign, once per file (default: file names)",
+        "--label", metavar="TEXT", action="append", help="name of a campaign, once per file (default: file names)"
     )
     parser.add_argument(
         "--join", action="store_true", help="files in a row with one --label are passes of one campaign"

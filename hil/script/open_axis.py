@@ -15,13 +15,7 @@ from hil.machine.events import Event, Listener, silent
 from hil.records.journal import Campaign
 from hil.script.axis import Axis, stated
 from hil.script.given import Measuring, Passwords, RealTime, Reversing, Winding
-from hil.script.results import (
-    CalibrationResult,
-    DoctorResult,
-    LoopResult,
-    ProcedureResult,
-    VerificationResult,
-)
+from hil.script.results import CalibrationResult, DoctorResult, LoopResult, ProcedureResult, VerificationResult
 
 if TYPE_CHECKING:  # drivers and fits load slowly
     import canopen
@@ -162,12 +156,7 @@ class OpenAxis(Axis):
         return DoctorResult(self.file, None, tuple(checks))
 
     def calibrate(
-        self,
-        *,
-        resume: bool = False,
-        new_zero: bool = False,
-        instrument_zeroed: bool = False,
-        **how: Unpack[Measuring],
+        self, *, resume: bool = False, new_zero: bool = False, instrument_zeroed: bool = False, **how: Unpack[Measuring]
     ) -> CalibrationResult:
         """Measure, compute tables and store them, as `hil calibrate --without-proof`; `verify()` proves them."""
         from hil.calibration.job import CALIBRATE, calibration_job  # noqa: PLC0415  (loads slowly)

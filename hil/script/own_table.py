@@ -59,9 +59,7 @@ class OwnTable:
         axis, how = self._measured_file(), Proving(prove_by, positions, runs, tolerance_um, seed)
         stored = self._stored(axis, tables_only=tables_only)
         made = made_table(axis, stored, deviation_um)
-        found: DriveTableResult = self._job(
-            lambda place: download(_open(axis, place), stored, made, how, place.tell),
-        )
+        found: DriveTableResult = self._job(lambda place: download(_open(axis, place), stored, made, how, place.tell))
         return found
 
     def prove(

@@ -40,11 +40,7 @@ def draw(view: View, procedure: type[Procedure]) -> None:
 
 
 def _draw_buttons(
-    view: View,
-    axis: AxisConfig,
-    procedure: type[Procedure],
-    ways: dict[str, GoOn],
-    interrupted: Callable[[], bool],
+    view: View, axis: AxisConfig, procedure: type[Procedure], ways: dict[str, GoOn], interrupted: Callable[[], bool]
 ) -> Callable[[], None]:
     """A field for each parameter, start, and the way to go on with an interrupted run."""
     fields = {}

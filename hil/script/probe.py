@@ -16,11 +16,7 @@ if TYPE_CHECKING:  # drivers load slowly
 
 
 def open_probe(
-    path: str | Path,
-    *,
-    password: str | None = None,
-    key_password: str | None = None,
-    on_event: Listener = silent,
+    path: str | Path, *, password: str | None = None, key_password: str | None = None, on_event: Listener = silent
 ) -> Probe:
     """The machine of a machine file (`hil probe`). Each of its jobs connects it, and leaves it stopped and disconnected.
 

@@ -24,12 +24,7 @@ def machine_parameters() -> BenchParameters:
     return known_bench(MACHINE, 0)
 
 
-def lay_out(
-    folder: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    drive: dict[str, Any] | None = None,
-    port: str = "",
-) -> Path:
+def lay_out(folder: Path, monkeypatch: pytest.MonkeyPatch, drive: dict[str, Any] | None = None, port: str = "") -> Path:
     """Write X.toml, builder.key and builder.pub, and set the passwords; the axis file. drive: keys of [drive], None: of the bench;
     port: of its laser."""
     for name, value in PASSWORDS.items():

@@ -23,15 +23,7 @@ S_PER_MIN, S_PER_H = 60, 3600
 CHINESE, FALL_BACK = "zh", "en"
 NO_CHINESE = "hil-no-chinese"
 """Event of a browser without a font for it."""
-ICONS = {
-    "idle": "○",
-    "enabled": "●",
-    "running": "▶",
-    "wait": "?",
-    "fault": "!",
-    "stopped": "■",
-    "nodata": "⊘",
-}
+ICONS = {"idle": "○", "enabled": "●", "running": "▶", "wait": "?", "fault": "!", "stopped": "■", "nodata": "⊘"}
 """A sign for each state, beside its colour and its word."""
 _STOPPED = (DriveState.QUICK_STOP,)
 _FAULT = (DriveState.FAULT, DriveState.FAULT_REACTION)

@@ -14,14 +14,7 @@ from hil.desk.plan import text_key
 from hil.ui.screen.view import View
 
 FILTERS = ("all", "alarm", "job", "write")
-SIGNS = {
-    Kind.ALARM: "!",
-    Kind.JOB: "▷",
-    Kind.WRITE: "✎",
-    Kind.STOP: "■",
-    Kind.CONTROL: "◦",
-    Kind.ACKNOWLEDGED: "✓",
-}
+SIGNS = {Kind.ALARM: "!", Kind.JOB: "▷", Kind.WRITE: "✎", Kind.STOP: "■", Kind.CONTROL: "◦", Kind.ACKNOWLEDGED: "✓"}
 MOST_SHOWN = 100
 
 
@@ -83,9 +76,7 @@ def entries(view: View, which: str) -> list[Entry]:
     """The entries of all axes of one filter, the newest first."""
     found = [entry for desk in view.desks for entry in desk.events.entries()]
     return sorted(
-        (entry for entry in found if which in ("all", entry.kind.value)),
-        key=lambda one: one.time,
-        reverse=True,
+        (entry for entry in found if which in ("all", entry.kind.value)), key=lambda one: one.time, reverse=True
     )
 
 

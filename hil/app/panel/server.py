@@ -87,11 +87,7 @@ class Server(uvicorn.Server):
 
 
 def serve(
-    desks: Sequence[Desk],
-    access: Access,
-    language: str,
-    listening: socket.socket,
-    all_pages: Sequence[Page],
+    desks: Sequence[Desk], access: Access, language: str, listening: socket.socket, all_pages: Sequence[Page]
 ) -> None:
     """Serve until SIGINT or SIGTERM. listening: a listening socket; all_pages: in the order of the navigation."""
     app = guarded(application(desks, language, all_pages), access, language)

@@ -105,11 +105,7 @@ def _print_dry_run(args: argparse.Namespace, axis: AxisConfig) -> None:
 
 
 def _print(
-    args: argparse.Namespace,
-    axis: AxisConfig,
-    result: Calibration,
-    summary: Mapping[str, Any],
-    found: Accuracy | None,
+    args: argparse.Namespace, axis: AxisConfig, result: Calibration, summary: Mapping[str, Any], found: Accuracy | None
 ) -> None:
     """The accuracy at other targets first, then the figures at the calibrated ones, and the sections outside the band."""
     if found is not None:

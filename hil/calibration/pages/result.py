@@ -16,11 +16,7 @@ from hil.calibration.pages.typed_tables import TypedTables
 from hil.correction.tables import Band, SignedSections
 from hil.figures.verdict import Accuracy, Decision
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
-from hil.ui.screen.pieces import (
-    Reading,
-    Table,
-    tables_written,
-)
+from hil.ui.screen.pieces import Reading, Table, tables_written
 from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]

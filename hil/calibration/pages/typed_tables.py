@@ -13,25 +13,13 @@ from drivers.errors import InputError
 from drivers.files import decode_text
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
-from hil.calibration.job import (
-    STRAIGHTNESS,
-    Across,
-    Part,
-    beside_stored,
-    kept_text,
-    manual_tables,
-    parts_of,
-)
+from hil.calibration.job import STRAIGHTNESS, Across, Part, beside_stored, kept_text, manual_tables, parts_of
 from hil.calibration.straightness import StraightnessResult
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_signs, read_straightness
 from hil.correction.tables import DirectionalTable, SignedSections, SingleTable
 from hil.desk.job import Job
-from hil.ui.screen.pieces import (
-    Latest,
-    Reading,
-    Table,
-)
+from hil.ui.screen.pieces import Latest, Reading, Table
 from hil.ui.screen.view import View
 
 Refresh = Callable[[], None]

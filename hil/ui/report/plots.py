@@ -55,10 +55,7 @@ def error_plot(campaign: NamedCampaign, theme: Theme, band: Band | None = None, 
 
 
 def before_after_plot(
-    campaigns: Sequence[NamedCampaign],
-    theme: Theme,
-    band: Band | None = None,
-    ground: Ground = fresh,
+    campaigns: Sequence[NamedCampaign], theme: Theme, band: Band | None = None, ground: Ground = fresh
 ) -> FigureBase:
     """Error against position of the campaigns, side by side on one scale."""
     with mpl.rc_context(RC):

@@ -9,13 +9,7 @@ from typing import Any
 from nicegui import ui
 
 from hil.ui.screen.pieces import Latest
-from hil.ui.screen.plots import (
-    PALETTES,
-    chart_options,
-    inks,
-    nothing_drawn,
-    pointed_at,
-)
+from hil.ui.screen.plots import PALETTES, chart_options, inks, nothing_drawn, pointed_at
 from hil.ui.screen.view import View
 
 Points = Sequence[tuple[float, float]]
@@ -65,11 +59,7 @@ class Drawing:
 def curves(view: View, x: str, y: str, drawn: Sequence[Curve]) -> Options:
     """Points and lines over straight axes."""
     base = chart_options(view, x, y, legend=True)
-    return {
-        **base,
-        "tooltip": pointed_at(view, "item"),
-        "series": [_series(curve, view) for curve in drawn],
-    }
+    return {**base, "tooltip": pointed_at(view, "item"), "series": [_series(curve, view) for curve in drawn]}
 
 
 def _series(curve: Curve, view: View) -> Options:
