@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
+from hil.ui.terminal.options import Later, Subparsers, add_json_option, number_type, seed, verb_parser, whole_type
 
-from hil.ui.terminal.options import Later, Subparsers, add_json_option, seed, verb_parser
+_PACE = number_type("a number >= 0", lambda value: 0.0 <= value <= 1e6)
 
 # -- hil demo ----------------------------------------------------------------------------------------------------------
 DEMO_EXAMPLE = """\
@@ -59,8 +59,13 @@ def add_panel(subparsers: Subparsers) -> None:
         metavar="PROCEDURE.py",
         help="a measuring procedure of yours (hil run), for a page of its own",
     )
-    parser.add_argument("--port", type=_port, default=0, help="TCP port (default 0: any free one, which is printed)")
-    parser.add_argument("--pace", type=_pace, default=1.0, help="of jobs on the bench against real time (default 1)")
+    parser.add_argument(
+        "--port",
+        type=whole_type(0, 65535, "a port, 0 to 65535"),
+        default=0,
+        help="TCP port (default 0: any free one, which is printed)",
+    )
+    parser.add_argument("--pace", type=_PACE, default=1.0, help="of jobs on the bench against real time (default 1)")
     parser.add_argument("--lang", choices=LANGUAGES, default="en", help="language of a new browser (default en)")
     parser.add_argument(
         "--bind", metavar="ADDRESS", default="127.0.0.1", help="address to listen on (default 127.0.0.1)"
@@ -80,19 +85,3 @@ def add_panel(subparsers: Subparsers) -> None:
         help="file with the access token, mode 600, made if it is not there (else one is made and printed)",
     )
     parser.set_defaults(run=Later("hil.app.panel.command"))
-
-
-def _port(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text) < 65536):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a port, 0 to 65535")
-    return int(text)
-
-
-def _pace(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = -1.0
-    if not 0.0 <= value <= 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number >= 0")
-    return value

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
-import math
-
 from hil.axis.backlash import FEEDS, METHODS, REVERSALS
-from hil.ui.terminal.options import Later, Subparsers, add_axis_arguments, add_password_options, verb_parser
+from hil.ui.terminal.options import (
+    Later,
+    Subparsers,
+    add_axis_arguments,
+    add_password_options,
+    number_type,
+    verb_parser,
+    whole_type,
+)
+
+_MICROMETRES = number_type("micrometres, 0 to 10000", lambda value: 0.0 <= value <= 10_000.0)
 
 EXAMPLE = """\
 example:
@@ -33,7 +40,9 @@ def add_parser(subparsers: Subparsers) -> None:
         EXAMPLE,
     )
     add_axis_arguments(parser)
-    parser.add_argument("--runs", type=_count, help="measurements of both reversals (default: the axis file's)")
+    parser.add_argument(
+        "--runs", type=whole_type(1, 100), help="measurements of both reversals (default: the axis file's)"
+    )
     parser.add_argument("--method", choices=METHODS, help="the estimate that is used (default: the axis file's)")
     parser.add_argument(
         "--feed", choices=FEEDS, help="after the reversal: steps, or a very slow creep (default: the axis file's)"
@@ -43,13 +52,13 @@ def add_parser(subparsers: Subparsers) -> None:
     )
     parser.add_argument(
         "--laser",
-        type=_micrometres,
+        type=_MICROMETRES,
         metavar="UM",
         help="lost motion by an instrument at the same place, µm: says the [backlash] scale that makes this measurement agree",
     )
     parser.add_argument(
         "--write-um",
-        type=_micrometres,
+        type=_MICROMETRES,
         metavar="UM",
         help="measure nothing; write this amount, µm, as --write does with the mean",
     )
@@ -66,19 +75,3 @@ def add_parser(subparsers: Subparsers) -> None:
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_password_options(parser, key=True)
     parser.set_defaults(run=Later("hil.backlash.command"))
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and 0 < int(text) <= 100):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number, 1 to 100")
-    return int(text)
-
-
-def _micrometres(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 <= value <= 10_000.0:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected micrometres, 0 to 10000")
-    return value

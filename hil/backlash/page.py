@@ -4,7 +4,6 @@ original, off and on.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 from nicegui import ui
@@ -16,9 +15,7 @@ from hil.backlash.job import CompensationState
 from hil.backlash.page_data import backlash_screen, kept_backlash
 from hil.ui.screen.pieces import Check, Reading, draw_ready, draw_where, lead
 from hil.ui.screen.plots import JobPlot
-from hil.ui.screen.view import View
-
-Refresh = Callable[[], None]
+from hil.ui.screen.view import Refresh, View
 
 
 def draw(view: View) -> None:

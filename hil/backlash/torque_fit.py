@@ -20,7 +20,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from hil.backlash.trace import Floats, ReversalTrace
+from hil.backlash.trace import ReversalTrace
+from hil.records.rows import Floats
 
 Mask = NDArray[np.bool_]
 HIDDEN_SHARE = 0.006

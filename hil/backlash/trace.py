@@ -7,11 +7,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import InputError
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats
 
 
 @dataclass(frozen=True)

@@ -96,7 +96,7 @@ def calibrate(
     session.compensation = None
     before = measure(session, campaign, "measure", bidirectional_steps(how.targets_mm, how.runs), listener)
     if correction.band is not None:
-        check_band(before, correction.band)
+        correction.band.check_repeatability(section_means(before).pooled_std_um)
     tables = compute_tables(before, correction.mode, straightness)
     if backlash is not None:
         tables = tables.with_backlash(backlash)
@@ -130,11 +130,6 @@ def calibrate(
             return Calibration(before, tuple(rounds), stored, moved_um)
         tables = revised
         steps = steps_for_sections([(section.target_mm, section.direction) for section in outside], how.runs)
-
-
-def check_band(records: Records, band: Band) -> None:
-    """Raises InputError, with both figures, for a band narrower than the repeatability of these runs."""
-    band.check_repeatability(section_means(records).pooled_std_um)
 
 
 CONTRADICTS_SHARE = 0.5

@@ -4,7 +4,6 @@ after, the band.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 from nicegui import ui
@@ -21,10 +20,9 @@ from hil.ui.screen.pieces import Reading, Steps, draw_ready, draw_where, lead, m
 from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 from hil.ui.screen.zero_switches import ZeroSwitches
 
-Refresh = Callable[[], None]
 NEXT = ("reports", "diagnosis")
 """Pages that follow a verification: one that passed, or one that failed."""
 Kept = Reading[CalibrationScreen]

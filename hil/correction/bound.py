@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drivers.errors import CorrectionBoundError
 from drivers.toml_types import Key, Positive
 from hil.correction import MAX_CORRECTION_UM, MAX_SLOPE_UM_PER_MM
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats
 
 SLOPE_OVER_MM = 1.0
 """The change of a correction is taken within any stretch of this length: shorter than any screw's lead, and longer than the distance

@@ -13,12 +13,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats
 
 _SETTLED = 40.0
 """Lengths after which 1 - exp is 1 in double precision, tanh after half of them: exp(-40) is 4e-18, and 1 - 2^-54 rounds to 1."""

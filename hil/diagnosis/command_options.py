@@ -17,6 +17,7 @@ from hil.ui.terminal.options import (
     add_records_argument,
     add_zero_options,
     feeds,
+    number_type,
     seed,
     verb_parser,
 )
@@ -150,7 +151,12 @@ def add_campaign(subparsers: Subparsers) -> None:
     )
     plan.add_argument("axis", metavar="AXIS.toml", help="the axis file")
     plan.add_argument("--out", metavar="PLAN.csv", required=True, help="the plan; `hil close-loop --plan` measures it")
-    plan.add_argument("--minutes", type=_minutes, default=120.0, help="limit of the machine time (default 120)")
+    plan.add_argument(
+        "--minutes",
+        type=number_type("minutes, more than 0", lambda value: 0.0 < value <= 1e5),
+        default=120.0,
+        help="limit of the machine time (default 120)",
+    )
     plan.add_argument("--seed", type=seed, default=0, help="determines targets and order (default 0)")
     add_json_option(plan)
     plan.set_defaults(run=Later("hil.diagnosis.commands.campaign", "run_design"))
@@ -166,16 +172,6 @@ def add_campaign(subparsers: Subparsers) -> None:
     add_effects_option(check)
     add_json_option(check)
     check.set_defaults(run=Later("hil.diagnosis.commands.campaign", "run_check"))
-
-
-def _minutes(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value <= 1e5:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected minutes, more than 0")
-    return value
 
 
 # -- hil close-loop ----------------------------------------------------------------------------------------------------

@@ -5,7 +5,6 @@ loop on the axis.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from functools import partial
 from string import Formatter
 
@@ -21,10 +20,9 @@ from hil.ui.screen.campaigns import Measurement
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Reading, Table, Tabs, measurement_words
 from hil.ui.screen.texts import Texts
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
 DIAGNOSE = Work("diagnose", "hil.diagnosis.job:diagnose_campaign")
-Refresh = Callable[[], None]
 Kept = Reading[DiagnosisScreen]
 MARKS = {1: (5, False), -1: (1, True)}
 """Colour of a direction, and whether its triangle is inverted."""

@@ -9,16 +9,13 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.diagnosis.repeats import PureError
 from hil.effects import Action, Estimate, Term
 from hil.effects.model import Model
 from hil.effects.non_parametric import without_cause
 from hil.figures.error_figures import rms
-
-Floats = NDArray[np.float64]
-
+from hil.records.rows import Floats
 
 OUTSIDE = "unexplained"
 """Name among the rivals for a dependence on other columns that no effect of the catalogue has."""

@@ -17,9 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hil.effects.model import PitchTable
-
-Floats = NDArray[np.float64]
-
+from hil.records.rows import Floats
 
 SAME_TARGET = 0.05
 """Targets nearer than this fraction of the mean spacing of a pass count as one target repeated."""

@@ -33,7 +33,7 @@ def compare_units(readings: Sequence[ReportedScaling], scaling: AxisScaling) -> 
     told = [reported for reported in readings if _said(reported)]
     if not told:
         return UnitsVerdict(True, "the drive says nothing of its units: only a move proves them")
-    verdicts = [(_mistakes(reported, scaling), reported) for reported in told]
+    verdicts = [([*_counts(reported, scaling), *_feed(reported, scaling)], reported) for reported in told]
     wrong, reported = min(verdicts, key=lambda verdict: len(verdict[0]))
     by_drive = reported.counts_per_load_mm
     per_mm = "" if by_drive is None else f", {float(by_drive):g} counts/mm"
@@ -41,10 +41,6 @@ def compare_units(readings: Sequence[ReportedScaling], scaling: AxisScaling) -> 
     if wrong:
         return UnitsVerdict(False, f"{text}; but {'; and '.join(wrong)}")
     return UnitsVerdict(True, f"{text}: as the axis file{', as far as it goes' if by_drive is None else ''}")
-
-
-def _mistakes(reported: ReportedScaling, scaling: AxisScaling) -> list[str]:
-    return [*_counts(reported, scaling), *_feed(reported, scaling)]
 
 
 def _said(reported: ReportedScaling) -> list[str]:

@@ -19,6 +19,7 @@ from drivers.correction_table import CorrectionTable, RawTable
 from drivers.drive import WITHOUT_POWER, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from drivers.files import read_text, replace_file
+from hil.axis.axis_file import DriveAxis
 from hil.machine.one_correction import switch_table
 from hil.records.files import parse_json, read_note
 from hil.records.made_with import MadeWith
@@ -192,9 +193,9 @@ def put_back(drive: ServoDrive, table: CorrectionTable, found: Snapshot) -> None
 
 
 # -- the zero it was made in -----------------------------------------------------------------------------------------------
-def zero_note(directory: Path, axis: str) -> Path:
-    """Where an axis that keeps its campaigns in this directory notes it."""
-    return directory / f"{axis}.drive-table.json"
+def zero_note(axis: DriveAxis) -> Path:
+    """Where an axis notes it."""
+    return axis.store.directory / f"{axis.name}.drive-table.json"
 
 
 def remember_zero(note: Path, raw: RawTable, zero: Zero | None, made_with: MadeWith | None = None) -> None:

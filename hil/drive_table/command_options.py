@@ -3,10 +3,17 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any
 
 from hil.drive_table import DEVIATION_UM, PROVERS, TOLERANCE_UM
-from hil.ui.terminal.options import Later, Subparsers, add_axis_arguments, add_password_options, positive, seed
+from hil.ui.terminal.options import (
+    Later,
+    Subparsers,
+    add_axis_arguments,
+    add_password_options,
+    positive,
+    seed,
+    whole_type,
+)
 
 EXAMPLE = """\
 example:
@@ -58,12 +65,12 @@ def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
     )
     job.add_argument(
         "--positions",
-        type=_between(2, 200),
+        type=whole_type(2, 200),
         default=7,
         metavar="N",
         help="number of positions of the proof (default 7)",
     )
-    job.add_argument("--runs", type=_between(1, 100), default=2, metavar="N", help="of each block (default 2)")
+    job.add_argument("--runs", type=whole_type(1, 100), default=2, metavar="N", help="of each block (default 2)")
     job.add_argument(
         "--tolerance-um", type=positive, default=TOLERANCE_UM, metavar="UM", help="of the proof (default %(default)s)"
     )
@@ -80,12 +87,3 @@ def _add_proof_options(job: argparse.ArgumentParser, *, unproven: bool) -> None:
         "--tables-only", action="store_true", help="leave fitted effects out, which a drive's table cannot hold"
     )
     add_password_options(job, key=False)
-
-
-def _between(low: int, high: int) -> Any:
-    def convert(text: str) -> int:
-        if not (text.isascii() and text.isdecimal() and low <= int(text) <= high):
-            raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number, {low} to {high}")
-        return int(text)
-
-    return convert

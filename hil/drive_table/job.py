@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from drivers.correction_table import TableDescription
 from drivers.drive import ServoDrive
@@ -120,7 +119,7 @@ def download(there: ConnectedAxis, stored: Stored, made: DriveTable, how: Provin
             change.undo()
     if not change.undone:
         zero = stored.compensation.zero or zero or read_zero(axis.zero_path)
-        remember_zero(_zero_note(axis), made.raw, zero, made_with)
+        remember_zero(zero_note(axis), made.raw, zero, made_with)
     return DriveTableResult(axis, None, proof, made.deviation_um, made, change.undone, change.seconds)
 
 
@@ -133,8 +132,8 @@ def prove(there: ConnectedAxis, stored: Stored, how: Proving) -> DriveTableResul
     zero_keeper(axis).kept(tables=stored.compensation.zero)
     table = held_table(drive)
     raw = table.read()
-    zero_keeper(axis).kept(tables=remembered_zero(_zero_note(axis), raw))
-    made_with_keeper(axis).check(drive, remembered_made_with(_zero_note(axis), raw), reversal=True)
+    zero_keeper(axis).kept(tables=remembered_zero(zero_note(axis), raw))
+    made_with_keeper(axis).check(drive, remembered_made_with(zero_note(axis), raw), reversal=True)
     curve = DriveCurve(table.description, raw, axis.scaling)
     check_curve(curve, axis.limits, axis.correction.bound)  # the proof switches it on
     limits = axis.limits
@@ -149,7 +148,7 @@ def remove(axis: DriveAxis, drive: ServoDrive, tell: Tell, *, keep_contents: boo
             change.switch(False)
         else:
             change.write(type(change.found.raw)())
-            _zero_note(axis).unlink(missing_ok=True)
+            zero_note(axis).unlink(missing_ok=True)
         return snapshot(change.table)
 
 
@@ -168,7 +167,7 @@ def held(axis: DriveAxis, drive: ServoDrive) -> Held:
     table = held_table(drive)
     found = snapshot(table)
     curve = DriveCurve(table.description, found.raw, drive.scaling)
-    return Held(table.description, found, curve, remembered_zero(_zero_note(axis), found.raw))
+    return Held(table.description, found, curve, remembered_zero(zero_note(axis), found.raw))
 
 
 def _prove(there: ConnectedAxis, stored: Stored, how: Proving) -> Proof | None:
@@ -206,7 +205,3 @@ def _made_with(axis: AxisConfig, drive: ServoDrive, compensation: Compensation) 
             f" (hil calibrate {axis.path}), or set it to 0"
         )
     return now
-
-
-def _zero_note(axis: DriveAxis) -> Path:
-    return zero_note(axis.store.directory, axis.name)

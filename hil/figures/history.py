@@ -56,6 +56,11 @@ class Pass:
     def name(self) -> str:
         return self.path.stem
 
+    @property
+    def only_begun(self) -> bool:
+        """Whether its file holds no rows yet."""
+        return "no rows" in self.why or "no header" in self.why
+
     def figures(self) -> Iso230 | str:
         """The figures of ISO 230-2, or the reason why there are none."""
         if self.records is None:
@@ -220,7 +225,8 @@ def history(campaigns: Iterable[FoundCampaign], names: Iterable[str]) -> list[Mo
         for one in campaign.passes if campaign.kind != REPLAY else ():
             figures = one.figures()
             if isinstance(figures, Iso230) and one.records is not None:
-                values = {name: _or_nan(figures.figures()[name]) for name in wanted}
+                known = figures.figures()
+                values = {name: math.nan if (value := known[name]) is None else value for name in wanted}
                 if not all(map(math.isnan, values.values())):
                     moments.append(Moment(one, campaign, values, _mean_temp_c(one.records)))
     return sorted(moments, key=lambda moment: moment.at.begun.timestamp())
@@ -232,10 +238,6 @@ def usual_pass(moments: Iterable[Moment]) -> str:
     """
     names = [moment.at.name for moment in moments]
     return max(reversed(names), key=names.count)
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def _mean_temp_c(records: Records) -> float:

@@ -178,7 +178,10 @@ def show_drive(args: argparse.Namespace) -> int:
         columns = ["about", ("says", left), ("strength", left), ("proven by", left), ("source", left)]
         print_table(columns, facts, title="facts")
     if drive.needs:
-        needs: list[list[str]] = [[need.condition.register, wanted(need), _who(need), need.why] for need in drive.needs]
+        needs = [
+            [one.condition.register, wanted(one), "you" if one.write is None else "hil, while enabled", one.why]
+            for one in drive.needs
+        ]
         print_table(["needs", ("value", left), ("set by", left), ("why", left)], needs)
     print(_STRENGTHS)
     print("the last two are used only after `hil doctor` has proven them on your drive")
@@ -220,7 +223,3 @@ def wanted(need: Need) -> str:
     """The values that a need accepts."""
     text = " or ".join(f"{value:#x}" for value in need.condition.values)
     return f"not {text}" if need.condition.negate else text
-
-
-def _who(need: Need) -> str:
-    return "hil, while enabled" if need.write is not None else "you"

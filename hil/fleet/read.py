@@ -20,7 +20,7 @@ import pyarrow.parquet as pq
 from drivers.errors import BridgeError, InputError
 from drivers.files import read_text
 from drivers.undo import one_line
-from hil.figures.history import REPLAY, FoundCampaign, Pass, read_campaign
+from hil.figures.history import REPLAY, Pass, read_campaign
 from hil.fleet.values import Value, is_result, of_pass, of_result, of_torque_file
 from hil.records.files import parse_json
 from hil.records.journal import MARKER
@@ -181,7 +181,7 @@ def _campaign(place: Place, found: _Read) -> None:
         if one.state == "torn":
             why.append(f"{one.path.name} ends with an incomplete line, which is left out")
         if one.records is None:
-            why += _no_rows(campaign, one)
+            why += [] if one.only_begun or campaign.kind in OTHER_ROWS else [f"{one.path.name} {one.why}"]
         elif one.state == "changed":
             why.append(f"{one.path.name} was changed since it was closed")
         elif len(one.records.columns) > MOST_COLUMNS:
@@ -211,13 +211,6 @@ def _campaign(place: Place, found: _Read) -> None:
     found.results += [
         _value(place, axis, campaign.kind, begun, value) for value, begun in values if np.isfinite(value.value)
     ]
-
-
-def _no_rows(campaign: FoundCampaign, one: Pass) -> list[str]:
-    """The reason why a pass has no rows, none for one that was only begun or whose file holds something else by its
-    kind."""
-    only_begun = "no rows" in one.why or "no header" in one.why
-    return [] if only_begun or campaign.kind in OTHER_ROWS else [f"{one.path.name} {one.why}"]
 
 
 def _value(place: Place, axis: str, kind: str, begun: datetime, value: Value) -> dict[str, Any]:

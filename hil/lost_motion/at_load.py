@@ -15,7 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from hil.correction.rise import Floats, Rise
+from hil.correction.rise import Rise
+from hil.records.rows import Floats
 
 _HALVINGS = 16
 """Bisections of the motor's travel before the final linear interpolation."""

@@ -16,6 +16,8 @@ from hil.ui.terminal.options import (
     add_json_option,
     add_password_options,
     add_zero_options,
+    number_type,
+    positive,
     seed,
     verb_parser,
 )
@@ -110,32 +112,19 @@ def add_circle(subparsers: Subparsers) -> None:
     parser.add_argument("--dry-run", action="store_true", help="say what would be moved and written, and do nothing")
     add_json_option(parser)
     parser.add_argument(
-        "--centre", metavar="MM", nargs=2, type=_finite, help="of both axes (default: the middles of their targets)"
+        "--centre",
+        metavar="MM",
+        nargs=2,
+        type=number_type("a number", math.isfinite),
+        help="of both axes (default: the middles of their targets)",
     )
-    parser.add_argument("--radius", metavar="MM", type=_positive, default=10.0, help="default 10")
-    parser.add_argument("--feed", metavar="MM/MIN", type=_positive, default=100.0, help="default 100")
+    parser.add_argument("--radius", metavar="MM", type=positive, default=10.0, help="default 10")
+    parser.add_argument("--feed", metavar="MM/MIN", type=positive, default=100.0, help="default 100")
     parser.add_argument("--clockwise", action="store_true", help="instead of counter-clockwise")
-    parser.add_argument("--period-ms", metavar="MS", type=_positive, default=4.0, help="of the set-points (default 4)")
+    parser.add_argument("--period-ms", metavar="MS", type=positive, default=4.0, help="of the set-points (default 4)")
     parser.add_argument("--uncorrected", action="store_true", help="only the uncorrected circle; needs no password")
     parser.add_argument("--report", metavar="FILE.html", help="also write a report")
     add_zero_options(parser)
     add_password_options(parser, key=False)
     add_effects_option(parser)
     parser.set_defaults(run=Later("hil.lost_motion.circle.command"))
-
-
-def _finite(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number")
-    return value
-
-
-def _positive(text: str) -> float:
-    value = _finite(text)
-    if not value > 0.0:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
-    return value

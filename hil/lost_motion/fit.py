@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
-from hil.correction.rise import SHAPES, Floats, Rise, Shape
+from hil.correction.rise import SHAPES, Rise, Shape
 from hil.figures.error_figures import rms
 from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, standard_uncertainties
+from hil.records.rows import Floats
 
 FOLDS = 5
 """Folds of the cross-validation within a single reversal."""

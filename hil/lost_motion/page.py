@@ -21,10 +21,8 @@ from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 from hil.ui.screen.zero_switches import ZeroSwitches
-
-Refresh = Callable[[], None]
 
 
 def draw(view: View) -> None:

@@ -413,8 +413,11 @@ class AxisSession:
     def _cross_moving(self, command: Command) -> Iterator[None]:
         """The block's move, together with that of the axis which straightness moves, to its place for the block's target."""
         cross = self._cross_in_use
-        across = None if cross is None else self._across(cross, command)
-        if cross is None or across is None or cross.unchanged(across):
+        if cross is None:
+            yield
+            return
+        across = cross.command(self.across_um(command.target_mm, cross.name), self.elapsed_s())
+        if cross.unchanged(across):
             yield
             return
         cross.drive.limits.check_target(across.command_mm)
@@ -423,9 +426,6 @@ class AxisSession:
         started = partial(cross.state.issued, across)
         with self.supervisor.moving_beside(cross.axis, across.command_mm, cross.velocity_mm_s, started):
             yield
-
-    def _across(self, cross: CrossAxis, command: Command) -> Command:
-        return cross.command(self.across_um(command.target_mm, cross.name), self.elapsed_s())
 
     def stream_along(
         self, path_mm: Iterable[tuple[float, float]], settings: SetPointSettings, at: Callable[[SetPointStream], None]

@@ -22,9 +22,8 @@ from hil.parameters.page_data import ParametersScreen, parameters_screen
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.wiring import journal_of
 from hil.ui.screen.pieces import Reading, Table, Tabs, show_share
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 COLUMNS = ("address", "name", "held", "wanted", "unit", "outcome")
 FIGURES = ("held", "wanted")
 KINDS = ".toml,.dcf,.cdcf"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 from drivers.errors import BridgeError, TransportError
 from drivers.parameters import ParameterKind
-from drivers.raw_parameters import DriveIdentity, RawParameter, RawParameters, Steps
+from drivers.raw_parameters import RawParameter, RawParameters, Steps
 from hil.parameters.preflight import notes_of_file, objections_to_file
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.tasks import Progress, counted, no_progress, run_together, serialized
@@ -57,7 +57,8 @@ def _read(backup: Backup, everything: bool, progress: Progress) -> Steps[None]:
     backup.unreadable = {access.address: ended_in(access.error) for access in accesses if access.error is not None}
     title = f"{drive.name}, {datetime.now(UTC).isoformat(timespec='seconds')}"
     entries = [entry_of(drive, entry, shown[entry.address]) for entry in wanted if entry.address in shown]
-    backup.contents = set_of(title, identity, entries)
+    contents = ParameterSet(title, identity, tuple(entries))
+    backup.contents = replace(contents, hash=contents.digest())
 
 
 def _refuse_silence(errors: Sequence[BridgeError | None]) -> None:
@@ -65,12 +66,6 @@ def _refuse_silence(errors: Sequence[BridgeError | None]) -> None:
     for error in errors:
         if isinstance(error, TransportError):
             raise error
-
-
-def set_of(name: str, identity: DriveIdentity | None, entries: Sequence[SetEntry]) -> ParameterSet:
-    """A set of these entries, with its hash."""
-    contents = ParameterSet(name, identity, tuple(entries))
-    return ParameterSet(name, identity, tuple(entries), contents.digest())
 
 
 def entry_of(drive: RawParameters, parameter: RawParameter, data: bytes) -> SetEntry:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import math
+import sys
 from collections.abc import Callable
 
 from hil.probe import MODES
-from hil.ui.terminal.options import KEY, READING, Later, Subparsers, add_json_option, verb_parser
+from hil.ui.terminal.options import KEY, READING, Later, Subparsers, add_json_option, positive, verb_parser, whole_type
+
+_COUNT = whole_type(1, sys.maxsize, "a whole number > 0")
 
 EXAMPLE = """\
 example:
@@ -52,8 +54,8 @@ def add_parser(subparsers: Subparsers) -> None:
         "M90: run-out and tip radius, from contacts at 0, 90, 180 and 270°",
         Later("hil.probe.command", "run_measure"),
     )
-    measure.add_argument("--every", metavar="MINUTES", type=_duration, help="again at this interval, until interrupted")
-    measure.add_argument("--times", metavar="N", type=_count, help="with --every: number of measurements")
+    measure.add_argument("--every", metavar="MINUTES", type=positive, help="again at this interval, until interrupted")
+    measure.add_argument("--times", metavar="N", type=_COUNT, help="with --every: number of measurements")
     measure.add_argument("--report", metavar="FILE.html", help="also write a report")
     correct_ = _add_job(
         jobs,
@@ -88,9 +90,9 @@ def add_parser(subparsers: Subparsers) -> None:
         Later("hil.probe.command", "run_codes"),
     )
     codes.add_argument(
-        "--times", metavar="N", type=_count, help="number of codes to handle (default: until interrupted)"
+        "--times", metavar="N", type=_COUNT, help="number of codes to handle (default: until interrupted)"
     )
-    codes.add_argument("--wait", metavar="SECONDS", type=_duration, help="longest wait for a code (default: no limit)")
+    codes.add_argument("--wait", metavar="SECONDS", type=positive, help="longest wait for a code (default: no limit)")
     for touching in (measure, centre, codes, *others):
         touching.add_argument(
             "--mode", choices=MODES, help="contacts by latch or by steps (default: the machine file's)"
@@ -118,19 +120,3 @@ def _add_job(
     add_json_option(parser)
     parser.set_defaults(run=run)
     return parser
-
-
-def _duration(text: str) -> float:
-    try:
-        duration = float(text)
-    except ValueError:
-        duration = math.nan
-    if not 0 < duration <= 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
-    return duration
-
-
-def _count(text: str) -> int:
-    if not (text.isascii() and text.isdecimal() and int(text) > 0):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number > 0")
-    return int(text)

@@ -25,9 +25,9 @@ from hil.probe.page_data import (
     contacts,
     history_curves,
     last_at,
-    measured_at,
     open_store_at,
     probe_record,
+    result_at,
     std_um,
     worst_closure_um,
 )
@@ -37,9 +37,8 @@ from hil.records.rows import UM_PER_MM
 from hil.ui.screen.drawings import Curve, Drawing, Options, angle_axis, curves
 from hil.ui.screen.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
 from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]
 
 
@@ -160,7 +159,7 @@ def _draw_run_out(at: ProbePage) -> Refresh:
         view.named(ui.label(limit).classes("hil-name"), "probe.limit")
 
     def refresh() -> None:
-        measured = measured_at(view.desks)
+        measured = result_at(view.desks, probe.MEASURE, MeasuredRunOut)
         found = None if measured is None else measured.measurement.run_out
         size.set_text(t.number(None if found is None else found.size_um, 2))
         fill(found)
@@ -201,7 +200,7 @@ def _draw_drawing(at: ProbePage) -> Refresh:
     names = {name: t(f"probe.drawn.{name}") for name in ("run_out", "circle", "contacts")}
 
     def refresh() -> None:
-        measured = measured_at(view.desks)
+        measured = result_at(view.desks, probe.MEASURE, MeasuredRunOut)
         if measured is not None:
             shown = ball_positions(at.config, measured.measurement)
             drawing.show(measured, lambda: around_the_spindle(view, shown, names))

@@ -8,19 +8,20 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from typing import TypeVar
 
 from drivers.errors import InputError
 from hil.desk.desk import Desk
 from hil.desk.progress import Progress
 from hil.machine.events import Measured
 from hil.probe import job as probe
-from hil.probe.job import MeasuredRunOut
 from hil.probe.machine_file import ProbeMachineConfig
-from hil.probe.procedure import BoreCentre, Correction, FeatureMeasurement, RunOutMeasurement, contact_name
+from hil.probe.procedure import RunOutMeasurement, contact_name
 from hil.probe.runout import ANGLES_DEG, FourFeeds, RunOut, run_out_std_um
 from hil.probe.store import RunOutStore
 from hil.records.rows import UM_PER_MM
 
+JobResult = TypeVar("JobResult")
 Points = list[tuple[float, float]]
 KINDS = (probe.MEASURE, probe.CORRECT, probe.CENTRE, probe.OTHER)
 SHOWN = 200
@@ -37,28 +38,10 @@ def last_at(desks: Iterable[Desk], kinds: Iterable[str] = KINDS) -> Progress | N
     return max(jobs, key=lambda job: job.number, default=None)
 
 
-def measured_at(desks: Iterable[Desk]) -> MeasuredRunOut | None:
-    """The result of the last M90; None before its end."""
-    job = last_at(desks, [probe.MEASURE])
-    return job.result if job is not None and isinstance(job.result, MeasuredRunOut) else None
-
-
-def corrected_at(desks: Iterable[Desk]) -> Correction | None:
-    """The result of the last correction, if any."""
-    job = last_at(desks, [probe.CORRECT])
-    return job.result if job is not None and isinstance(job.result, Correction) else None
-
-
-def centred_at(desks: Iterable[Desk]) -> BoreCentre | None:
-    """The result of the last centring, if any."""
-    job = last_at(desks, [probe.CENTRE])
-    return job.result if job is not None and isinstance(job.result, BoreCentre) else None
-
-
-def other_at(desks: Iterable[Desk]) -> FeatureMeasurement | None:
-    """The result of the last measurement of a face, an angle, a boss or a reference position, if any."""
-    job = last_at(desks, [probe.OTHER])
-    return job.result if job is not None and isinstance(job.result, FeatureMeasurement) else None
+def result_at(desks: Iterable[Desk], kind: str, of: type[JobResult]) -> JobResult | None:
+    """The result of the last job of this kind; None before its end."""
+    job = last_at(desks, [kind])
+    return job.result if job is not None and isinstance(job.result, of) else None
 
 
 def lent(config: ProbeMachineConfig, desks: Iterable[Desk], own: Desk) -> list[Desk]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -18,9 +18,8 @@ from hil.report.page_data import AxisHistory, ReportFile, ReportsScreen, reports
 from hil.ui.screen.campaigns import Measurement
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Reading, measurement_words
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 Kept = Reading[ReportsScreen]
 MARKS = ("circle", "rect", "diamond")
 OURS = (REPORT.name, COMPARE.name, HISTORY.name)

@@ -184,15 +184,14 @@ class OpenAxis(Axis):
         store = self._passwords.store(axis, writing=False) if corrected else None
         across = None
         if store is not None and axis.straightness is not None and store.load().moves_axis:
-            across = Across.of(axis, self._store_of_other(axis))
+            other = load_drive_axis(axis.across().axis_file)
+            across = Across(
+                other, self._passwords.store(other, writing=False) if isinstance(other, AxisConfig) else None
+            )
         job = verification_job(axis, corrected=corrected, seed=seed, resume=resume, zero=zero, across=across)
         verified = self._carry_out(job, store, axis)
         folder = _folder(axis, VERIFY if corrected else UNCORRECTED)
         return VerificationResult(axis, folder, verified, self._passwords)
-
-    def _store_of_other(self, axis: AxisConfig) -> SealedStore | None:
-        other = load_drive_axis(axis.across().axis_file)
-        return self._passwords.store(other, writing=False) if isinstance(other, AxisConfig) else None
 
     def backlash(self, *, write: bool = False, **how: Unpack[Winding]) -> BacklashResult:
         """Lost motion by the servo's torque, as `hil backlash`. write: whether the mean is written into the drive's parameter, or into

@@ -187,7 +187,7 @@ def test_the_example_as_it_is_shipped(kept: Kept, axis: AxisConfig, capsys: pyte
     assert kept.enabled
     assert kept.raw != OLD
     assert "the drive corrects as the bridge does" in capsys.readouterr().out
-    made_in = remembered_zero(zero_note(axis.store.directory, axis.name), kept.raw)
+    made_in = remembered_zero(zero_note(axis), kept.raw)
     assert made_in is not None
     assert made_in == read_zero(axis.zero_path)
     assert run(axis, "show") == 0

@@ -25,17 +25,15 @@ from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig, load_probe_machine
 from hil.probe.page_data import (
     ProbeRecord,
-    centred_at,
     contacts,
-    corrected_at,
     last_at,
     lent,
-    measured_at,
     open_store_at,
-    other_at,
     probe_record,
+    result_at,
     store_at,
 )
+from hil.probe.procedure import BoreCentre, Correction, FeatureMeasurement
 from hil.probe.runout import CorrectionCode
 from hil.probe.store import RunOutStore
 from hil.records.files import held
@@ -187,7 +185,7 @@ def test_measured_corrected_and_centred(tmp_path: Path, until: Until, seen: Seen
         assert lent(at.config, at.desks, at.desk) == [y]
         assert at.run(at.m90()).phase is Phase.DONE
         assert y.job() is None  # lent, not run
-        measured = measured_at(at.desks)
+        measured = result_at(at.desks, probe.MEASURE, probe.MeasuredRunOut)
         assert measured is not None
         assert measured.refusal is None
         found, stylus = measured.measurement.run_out, seen.benches[-1].probe.parameters.stylus
@@ -205,19 +203,19 @@ def test_measured_corrected_and_centred(tmp_path: Path, until: Until, seen: Seen
         assert store is not None
         ended = at.run(probe.correction_job(at.config, store, found, CorrectionCode.M91))
         assert ended.error == ""
-        assert corrected_at(at.desks).driven_mm == pytest.approx((found.x_mm, 0.0))  # type: ignore[union-attr]
+        assert result_at(at.desks, probe.CORRECT, Correction).driven_mm == pytest.approx((found.x_mm, 0.0))  # type: ignore[union-attr]
         assert 1000 * (seen.benches[-1].place("x") - 50.0) == pytest.approx(1000 * found.x_mm, abs=0.1)
 
         assert at.run(probe.centring_job(at.config, store, found, CorrectionCode.M93, "latch")).phase is Phase.DONE
         (bore,) = (one for one in seen.benches[-1].probe.parameters.solids if isinstance(one, Bore))
-        centred = centred_at(at.desks)
+        centred = result_at(at.desks, probe.CENTRE, BoreCentre)
         assert centred is not None
         assert centred.centring.centre_mm == pytest.approx(bore.point_mm[:2], abs=1e-3)
         assert (seen.benches[-1].place("x"), seen.benches[-1].place("y")) == pytest.approx(bore.point_mm[:2], abs=1e-3)
 
         assert at.run(probe.feature_job(at.config, store, found, "boss", "latch")).phase is Phase.DONE
         (boss,) = (one for one in seen.benches[-1].probe.parameters.solids if isinstance(one, Boss))
-        other = other_at(at.desks)
+        other = result_at(at.desks, probe.OTHER, FeatureMeasurement)
         assert other is not None
         assert (other.corrected["x_mm"], other.corrected["y_mm"]) == pytest.approx(boss.point_mm[:2], abs=1e-3)
 
@@ -248,7 +246,7 @@ def test_a_job_that_is_over_has_given_its_axes_back(
 def test_a_chip_on_the_block_is_refused_and_said_in_german(tmp_path: Path, until: Until) -> None:
     with at_work(tmp_path, until, "Y", more=f"{SEED}chip_um = 30.0") as at:
         assert at.run(at.m90()).phase is Phase.WITHOUT_RESULT
-        measured = measured_at(at.desks)
+        measured = result_at(at.desks, probe.MEASURE, probe.MeasuredRunOut)
         assert measured is not None
         assert measured.refusal is not None
         assert "the contacts do not close" in measured.refusal

@@ -92,7 +92,7 @@ class Guard:
 
     async def _let_in(self, scope: Scope, receive: Receive, send: Send) -> None:
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
-        if not self._meant_for_us(headers.get("host", "")):
+        if _host_name(headers.get("host", "")) not in self._hosts:
             await _refuse(scope, send, 421, "this server does not go by that name")
         elif not self._from_our_page(scope, headers):
             await _refuse(scope, send, 403, "not from a page of this server")
@@ -100,9 +100,6 @@ class Guard:
             await self._ask(scope, headers, receive, send)
         else:
             await self._pass_on(scope, headers, receive, send)
-
-    def _meant_for_us(self, host: str) -> bool:
-        return _host_name(host) in self._hosts
 
     def _from_our_page(self, scope: Scope, headers: dict[str, str]) -> bool:
         """Whether the request comes from a page of this server. GET and HEAD need no Origin, as a browser sends none with a visit;

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
 from functools import partial
 
@@ -17,9 +17,8 @@ from hil.correction.tables import Band, SignedSections
 from hil.figures.verdict import Accuracy, Decision
 from hil.ui.screen.drawings import Curve, Drawing, Options, curves
 from hil.ui.screen.pieces import Reading, Table, tables_written
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 Kept = Reading[CalibrationScreen]
 BAND, BAND_PLUS, BAND_MINUS = "#009e7333", "#0072b240", "#d55e0040"
 """Of the band: where both directions have one sign; of the + and of the − direction where they differ."""

@@ -20,9 +20,8 @@ from hil.correction.manual import read_backlash, read_signs, read_straightness
 from hil.correction.tables import DirectionalTable, SignedSections, SingleTable
 from hil.desk.job import Job
 from hil.ui.screen.pieces import Latest, Reading, Table
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 TYPED, TYPED_STRAIGHTNESS = "typed-tables.csv", "typed-straightness.csv"
 TYPED_BACKLASH, TYPED_SIGNS = "typed-backlash.csv", "typed-signs.csv"
 """Files in the axis's folder that keep what was typed here."""

@@ -15,10 +15,9 @@ from hil.records.journal import measurement_of
 from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 from hil.ui.screen.zero_switches import ZeroSwitches
 
-Refresh = Callable[[], None]
 IN_MOTION = ("motion_before", "motion_diagnose", "motion_after")
 STEPS = ("measure", "round", "before", "diagnose", "after", *IN_MOTION)
 """Those in motion are shown of a job that has them."""

@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.polynomial import legendre
-from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.joining import SET, segments
@@ -29,9 +28,7 @@ from hil.effects import Effect, Form, Survey, Term
 from hil.effects.history import time_column
 from hil.effects.model import Model
 from hil.effects.warming import is_about_a_point
-from hil.records.rows import Records
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats, Records
 
 LEAST = 0.02
 """Weight of a cause from which it is compared."""

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hil.diagnosis.campaign import CampaignRows, prepare
@@ -23,9 +22,7 @@ from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, Rows
 from hil.diagnosis.next.causes import unseen_causes
 from hil.effects import ALL, Effect, Form
 from hil.effects.cyclic import COMMON_MM
-from hil.records.rows import Records
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats, Records
 
 LEAST_REPEATS = 8
 """Degrees of freedom of the noise floor below which it is uncertain by more than a quarter."""

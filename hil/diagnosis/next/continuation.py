@@ -9,7 +9,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.joining import SENSED, SET, is_set, segments
@@ -34,9 +33,8 @@ from hil.diagnosis.table import DeclaredShape
 from hil.effects import Effect, Form, Term
 from hil.effects.history import BRANCH, time_column
 from hil.effects.model import Model
-from hil.records.rows import Records
+from hil.records.rows import Floats, Records
 
-Floats = NDArray[np.float64]
 Columns = Mapping[str, Floats]
 
 TYPICAL_OFFSET = 0.25

@@ -9,11 +9,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hil.diagnosis.next.planned_run import Means, PlannedRun, Point, motion_columns
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats
 
 THERMOMETER = "temp_screw_c"
 AIR = ("air_temp_c", "air_pressure_hpa", "air_humidity_percent")

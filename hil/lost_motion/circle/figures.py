@@ -11,12 +11,10 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.errors import InputError
 from hil.figures.iso230_4 import Iso230Part4, iso230_4
-
-Floats = NDArray[np.float64]
+from hil.records.rows import Floats
 
 QUADRANTS_DEG = (0.0, 90.0, 180.0, 270.0)
 BETWEEN_DEG = (45.0, 135.0, 225.0, 315.0)

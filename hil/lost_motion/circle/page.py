@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from nicegui import ui
 
@@ -14,9 +14,8 @@ from hil.lost_motion.page_data import CircleCurves, circle_curves, driven_circle
 from hil.ui.screen.drawings import Drawing, Options, angle_axis, short
 from hil.ui.screen.pieces import Latest, Table
 from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 RADIUS_MM, FEED_MM_MIN, S_PER_MIN = 10.0, 100.0, 60.0
 RINGS = 4
 """Number of rings on each side of the commanded circle."""

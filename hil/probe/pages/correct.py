@@ -11,15 +11,14 @@ from hil.desk.desk import Desk
 from hil.desk.job import Job
 from hil.probe import job as probe
 from hil.probe.machine_file import ProbeMachineConfig
-from hil.probe.page_data import ProbeRecord, centred_at, corrected_at, last_at, lent, other_at, store_at
-from hil.probe.procedure import Correction
+from hil.probe.page_data import ProbeRecord, last_at, lent, result_at, store_at
+from hil.probe.procedure import BoreCentre, Correction, FeatureMeasurement
 from hil.probe.runout import CorrectionCode
 from hil.probe.store import RunOutStore
 from hil.records.rows import UM_PER_MM
 from hil.ui.screen.pieces import Latest, Reading, Table
-from hil.ui.screen.view import View
+from hil.ui.screen.view import Refresh, View
 
-Refresh = Callable[[], None]
 Kept = Reading[ProbeRecord]
 
 
@@ -61,7 +60,7 @@ def _draw_correction(at: ProbePage, kept: Kept) -> Refresh:
 
     def refresh() -> None:
         button.allow(at.why_not() or _no_run_out(at, kept))
-        fill(corrected_at(view.desks))
+        fill(result_at(view.desks, probe.CORRECT, Correction))
 
     return refresh
 
@@ -117,7 +116,7 @@ def _draw_bore(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
 
     def refresh() -> None:
         button.allow(at.why_not() or _no_run_out(at, kept))
-        found = centred_at(view.desks)
+        found = result_at(view.desks, probe.CENTRE, BoreCentre)
         centre.set_text("–" if found is None else pair(found.centring.centre_mm))
         middle.set_text("–" if found is None else pair(found.centring.middle_mm))
         diameter.set_text("–" if found is None else t.number(found.centring.diameter_mm, 4))
@@ -148,7 +147,7 @@ def _draw_others(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
 
     def refresh() -> None:
         button.allow(at.why_not() or _no_run_out(at, kept))
-        found = other_at(view.desks)
+        found = result_at(view.desks, probe.OTHER, FeatureMeasurement)
         if found is not None and latest.is_new(found):
             title, both = t(f"probe.features.{found.name}"), (found.corrected, found.uncorrected)
             table.show(

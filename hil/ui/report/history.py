@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from datetime import datetime
 
 import matplotlib as mpl
 import numpy as np
@@ -23,12 +22,13 @@ _MARKERS = ("o", "s", "D", "^", "v", "P")
 def render_history(title: str, moments: Sequence[Moment], names: Sequence[str]) -> str:
     """The report as an HTML page. names: of the figures, such as "A". The same data give the same text."""
     svg = inline_svg(history_figure(moments, names, PAGE), "history", "Figures of ISO 230-2 against the date")
+    head = ["Begun", "Axis", "Campaign", "Pass", *map(symbol, names), "°C"]
     body = [
         header(title, f"{len(moments)} campaigns, {_day(moments[0])} to {_day(moments[-1])}"),
         markup.figure(svg, "Figures of ISO 230-2 against the date, with the straight line through each that has one."),
         "<h2>Trend</h2>"
         + markup.table(["Figure", "change in 30 days, µm", ""], _trends(moments, names), css="numbers meaning"),
-        "<h2>Campaigns</h2>" + markup.table(_head(names), _rows(moments, names), css="numbers"),
+        "<h2>Campaigns</h2>" + markup.table(head, _rows(moments, names), css="numbers"),
     ]
     return page(title, body)
 
@@ -86,14 +86,10 @@ def _trends(moments: Sequence[Moment], names: Sequence[str]) -> list[list[str]]:
     return rows
 
 
-def _head(names: Sequence[str]) -> list[str]:
-    return ["Begun", "Axis", "Campaign", "Pass", *map(symbol, names), "°C"]
-
-
 def _rows(moments: Sequence[Moment], names: Sequence[str]) -> list[list[str]]:
     return [
         [
-            _time(moment.at.begun) + ("" if moment.at.dated else " (file)"),
+            moment.at.begun.strftime("%Y-%m-%d %H:%M") + ("" if moment.at.dated else " (file)"),
             moment.campaign.axis,
             moment.campaign.directory.name,
             moment.at.name,
@@ -102,10 +98,6 @@ def _rows(moments: Sequence[Moment], names: Sequence[str]) -> list[list[str]]:
         ]
         for moment in moments
     ]
-
-
-def _time(when: datetime) -> str:
-    return when.strftime("%Y-%m-%d %H:%M")
 
 
 def _day(moment: Moment) -> str:

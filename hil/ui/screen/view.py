@@ -26,6 +26,8 @@ from hil.ui.screen.browsers import Browser
 from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.texts import Texts
 
+Refresh = Callable[[], None]
+"""Draw a part of a page again."""
 AnyElement = TypeVar("AnyElement", bound=Element)
 _shown_errors: WeakKeyDictionary[Client, ui.notification] = WeakKeyDictionary()
 REFRESH_S = 0.2

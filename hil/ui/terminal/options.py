@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from typing import TypeAlias
@@ -167,22 +169,34 @@ def add_records_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--runs", metavar="1-3", type=parse_runs, help="only these runs, e.g. 1-3 or 1,4,6-8")
 
 
-def seed(text: str) -> int:
-    """A `--seed` as an argparse type, 0 to 2**31 - 1. Raises ArgumentTypeError."""
-    if not (text.isascii() and text.isdecimal() and int(text) < 2**31):
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a whole number from 0 to {2**31 - 1}")
-    return int(text)
+def number_type(expected: str, fits: Callable[[float], bool]) -> Callable[[str], float]:
+    """The argparse type of a number that fits; for another one, and for no number, the error says what was expected."""
+
+    def read(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not fits(value):
+            raise argparse.ArgumentTypeError(f"is {text!r}, expected {expected}")
+        return value
+
+    return read
 
 
-def positive(text: str) -> float:
-    """A number > 0 as an argparse type. Raises ArgumentTypeError."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < 1e6:
-        raise argparse.ArgumentTypeError(f"is {text!r}, expected a number > 0")
-    return value
+def whole_type(low: int, high: int, expected: str = "") -> Callable[[str], int]:
+    """As `number_type` of a whole number from low to high."""
+
+    def read(text: str) -> int:
+        if not (text.isascii() and text.isdecimal() and low <= int(text) <= high):
+            raise argparse.ArgumentTypeError(f"is {text!r}, expected {expected or f'a whole number, {low} to {high}'}")
+        return int(text)
+
+    return read
+
+
+positive = number_type("a number > 0", lambda value: 0.0 < value <= 1e6)
+seed = whole_type(0, 2**31 - 1, f"a whole number from 0 to {2**31 - 1}")
 
 
 def feeds(text: str) -> tuple[float, ...]:

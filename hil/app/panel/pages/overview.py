@@ -15,9 +15,7 @@ from hil.desk.live import Live
 from hil.ui.screen.pieces import Reading, tables_written
 from hil.ui.screen.plots import Channel, LiveChart
 from hil.ui.screen.unfinished import draw_unfinished
-from hil.ui.screen.view import Button, View
-
-Refresh = Callable[[], None]
+from hil.ui.screen.view import Button, Refresh, View
 
 
 def draw(view: View) -> None:
