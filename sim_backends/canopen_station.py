@@ -1,53 +1,22 @@
-"""Ways to put a simulated CANopen drive on a bus: the simulated wire, or a bus of python-can."""
+"""Station: a simulated CANopen drive at its end of a bus of python-can."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
-from pathlib import Path
 
 import can
 
 from drivers.clock import Clock
 from drivers.errors import LinkLostError
-from sim_backends.canopen_drive import EDS, SUPERVISION_NS, CanOpenSlave
+from sim_backends.canopen_drive import SUPERVISION_NS, CanOpenSlave
 from sim_backends.canopen_faults import CanFault, FaultLayer
-from sim_backends.canopen_store import Flash
-from sim_backends.canopen_wire import SimWire
 from sim_backends.own_table import TableForm
 from sim_backends.servo import SimulatedServo
 
 
-def attach_to_wire(
-    wire: SimWire,
-    servo: SimulatedServo,
-    node_id: int = 1,
-    *,
-    parameters: Mapping[tuple[int, int], int] | None = None,
-    faults: Iterable[CanFault] = (),
-    flash: Flash | None = None,
-    table: TableForm | None = None,
-    eds: Path = EDS,
-    make: Callable[..., CanOpenSlave] = CanOpenSlave,
-) -> CanOpenSlave:
-    """Put a drive on the simulated wire and boot it; its servo has to be attached to the clock before."""
-    node = wire.add_node()
-    faults = tuple(faults)
-    made = partial(make, servo, node_id, parameters=parameters, flash=flash, table=table, eds=eds)
-    if faults:
-        layer = FaultLayer(faults, node_id, node.send, made)
-        slave = layer.slave
-        node.connect(layer.on_frame, layer.tick, layer.due_ns)
-    else:
-        slave = made(node.send)
-        node.connect(slave.on_frame, slave.tick, slave.due_ns)
-    node.on_remote = slave.on_remote
-    slave.boot(wire.clock.now_ns())
-    return slave
-
-
 class Station:
-    """A drive at its end of a python-can bus: frames to it and from it, and its next time in simulated time. Raises LinkLostError when
+    """Frames to the drive and from it, and its next time in simulated time. Raises LinkLostError when
     the bus does not take a frame."""
 
     def __init__(

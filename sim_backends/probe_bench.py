@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.control_wires import SimulatedControl, Wires
 from sim_backends.probe import ProbeParameters, SimulatedProbe

@@ -16,6 +16,7 @@ from typing import Any
 from unittest.mock import patch
 
 from hostile import files
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -63,7 +64,7 @@ from hil.records.journal import check_resumable, read_purpose
 from hil.records.made_with import MadeWith
 from hil.records.rows import parse_csv
 from hil.records.zero import Zero
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft, CanBench
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers

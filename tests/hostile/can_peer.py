@@ -13,9 +13,9 @@ from random import Random
 from typing import Any
 
 from hostile.peer import Peer
+from support.can_wire import SimWire, WirePort
 
 from sim_backends.canopen_drive import CanOpenSlave
-from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.clock import SimClock
 from sim_backends.faults import CanFaultKind
 from sim_backends.servo import SimulatedServo

@@ -15,6 +15,8 @@ from unittest.mock import patch
 import canopen
 import pytest
 from support import their_canopen
+from support.can_bench import attach_to_wire
+from support.can_wire import SimWire
 from support.drive_rigs import LIMITS
 from support.served_drive import served
 
@@ -29,10 +31,8 @@ from drivers.drive import DriveState
 from drivers.errors import InputError, NoAnswerError, StateError
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave
-from sim_backends.canopen_station import attach_to_wire
-from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.servo import SimulatedServo
 

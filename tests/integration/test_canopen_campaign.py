@@ -15,6 +15,8 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import pytest
+from support.can_bench import CanBench
+from support.can_wire import WirePort
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -38,9 +40,8 @@ from drivers.errors import (
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import SMALL_SERVO, CanBench
+from sim_backends.bare_shaft import SMALL_SERVO
 from sim_backends.canopen_faults import CanFault
-from sim_backends.canopen_wire import WirePort
 from sim_backends.faults import CanFaultKind, Fault, FaultKind
 
 K = CanFaultKind

@@ -10,6 +10,8 @@ import time
 from dataclasses import replace
 
 import numpy as np
+from support.can_bench import attach_to_wire
+from support.can_wire import SimWire
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -19,9 +21,7 @@ from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
-from sim_backends.canopen_bench import SMALL_SERVO
-from sim_backends.canopen_station import attach_to_wire
-from sim_backends.canopen_wire import SimWire
+from sim_backends.bare_shaft import SMALL_SERVO
 from sim_backends.clock import SimClock
 from sim_backends.servo import SimulatedServo
 

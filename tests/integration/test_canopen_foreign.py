@@ -39,7 +39,7 @@ from hil.parameters.report import Ending
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import Target
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave
 from sim_backends.servo import SimulatedServo
 

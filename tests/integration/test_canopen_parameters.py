@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -18,7 +19,6 @@ from drivers.errors import (
 )
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash

@@ -10,6 +10,7 @@ from typing import Any
 
 import can
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -22,7 +23,6 @@ from drivers.errors import BridgeError, InputError, SafetyError, StateError, Und
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_dictionary import RefusedError
 
 LIMITS = DriveLimits(-300.0, 300.0, max_velocity_mm_s=200.0, max_acceleration_mm_s2=2000.0)

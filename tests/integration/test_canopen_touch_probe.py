@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -13,7 +14,6 @@ from drivers.errors import AbortError, InputError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.touch_probe import Edge, Latch
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import CanOpenSlave
 
 NODE = 5

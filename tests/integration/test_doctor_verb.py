@@ -13,7 +13,7 @@ from support import bench_axis
 from drivers.clock import WallClock
 from drivers.modbus.register_map import shipped_maps
 from hil.app.main import main
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.modbus_drive import ModbusServer, tcp_server
 from sim_backends.modbus_vendor import VendorRegisters
 from sim_backends.servo import SimulatedServo

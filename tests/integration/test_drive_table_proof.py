@@ -23,7 +23,7 @@ from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
 from hil.machine.wiring import connected, connected_drive
 from hil.records.journal import Campaign
-from sim_backends.canopen_bench import SMALL_SERVO
+from sim_backends.bare_shaft import SMALL_SERVO
 from sim_backends.clock import SimClock
 from sim_backends.own_table import ARRAY, TableForm, error_domain
 from sim_backends.servo import SimulatedServo

@@ -26,7 +26,7 @@ from hil.doctor.procedure import doctor
 from hil.machine.axis_lock import modbus_endpoint
 from hil.machine.session import AxisSession
 from hil.machine.wiring import connected_drive
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import tcp_server

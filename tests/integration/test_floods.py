@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 from support import bench_axis
+from support.can_bench import CanBench, attach_to_wire
+from support.can_wire import SimWire
 from support.sdo_peers import Flood
 
 from drivers.canopen.bus import CanLink
@@ -26,9 +28,6 @@ from hil.machine.links import Links
 from hil.machine.machine import session_of
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench
-from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_station import attach_to_wire
-from sim_backends.canopen_wire import SimWire
 
 pytestmark = pytest.mark.outside
 

@@ -13,6 +13,8 @@ from typing import Literal
 
 import pytest
 from study.makers_matrix import SPEED_MM_S, Row, Trial, shared_data, study, summary
+from support.can_bench import attach_to_wire
+from support.can_wire import SimWire
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -27,9 +29,7 @@ from hil.axis.axis_file import MeasurementConfig
 from hil.doctor.procedure import doctor
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
-from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_strict import StrictSlave
-from sim_backends.canopen_wire import SimWire
 from sim_backends.maker_file import TRINAMIC, motion_units, read_maker_file
 from sim_backends.plant.parameters import geometric_axis
 

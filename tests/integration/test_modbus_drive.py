@@ -39,7 +39,7 @@ from drivers.modbus.wear import WearLedger
 from drivers.modbus.wire import PymodbusWire
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.faults import CanFaultKind, WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers

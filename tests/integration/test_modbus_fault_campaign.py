@@ -23,7 +23,7 @@ from drivers.modbus.endpoint import RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import LinkPolicy, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers

@@ -49,7 +49,7 @@ from hil.parameters.recover import recover
 from hil.parameters.report import Ending
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import Target
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server

@@ -28,7 +28,7 @@ from drivers.standstill import FrozenValues
 from drivers.way_out import WayOut
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_registers import Face

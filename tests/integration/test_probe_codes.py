@@ -23,7 +23,7 @@ from drivers.modbus.map_loader import load_drive_map
 from hil.app.main import main
 from hil.probe.machine_file import load_probe_machine
 from hil.probe.wiring import control_wires
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.control_wires import Wires
 from sim_backends.modbus_drive import tcp_server
 from sim_backends.modbus_registers import Bank, Cell, Space

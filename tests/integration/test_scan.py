@@ -16,7 +16,7 @@ from support.sim_process import sim
 from drivers.clock import WallClock
 from hil.app.main import main
 from hil.files.scan import parse_ids
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import ModbusServer, rtu_slave, tcp_server
 from sim_backends.modbus_registers import Face

@@ -11,6 +11,7 @@ from dataclasses import replace
 import canopen
 import pytest
 from support import their_canopen
+from support.can_bench import CanBench
 from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
@@ -22,7 +23,7 @@ from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.correction_table import RawTable
 from drivers.errors import ProtocolError
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft, CanBench
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS
 from sim_backends.own_table import ARRAY, error_domain
 from sim_backends.servo import SimulatedServo

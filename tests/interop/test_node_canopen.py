@@ -27,7 +27,7 @@ from drivers.cia402.objects import DataType, Entry
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import AbortError, LinkLostError
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.servo import SimulatedServo
 

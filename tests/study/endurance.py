@@ -35,6 +35,10 @@ import numpy as np
 if not __package__:
     sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
+from support.can_bench import CanBench
+from support.can_bus_model import frame_bits
+from support.can_wire import SimWire
+
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.stream import CyclicStream
@@ -51,10 +55,8 @@ from hil.effects.warming import TEMPERATURE
 from hil.machine.set_points import CommandState
 from hil.records.journal import Campaign
 from hil.records.rows import read_csv
-from sim_backends.can_bus_model import frame_bits
-from sim_backends.canopen_bench import SMALL_SERVO, CanBench
+from sim_backends.bare_shaft import SMALL_SERVO
 from sim_backends.canopen_faults import CanFault
-from sim_backends.canopen_wire import SimWire
 from sim_backends.faults import CanFaultKind
 
 NODE, PERIOD_S, HOUR_S = 5, 0.05, 3600.0

@@ -26,6 +26,9 @@ from pathlib import Path
 if not __package__:
     sys.path[0] = str(Path(__file__).resolve().parents[1])  # its own place would hide the package
 
+from support.can_bench import attach_to_wire
+from support.can_wire import SimWire
+
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
 from drivers.canopen.settings import CanOpenSettings
@@ -35,11 +38,9 @@ from drivers.errors import BridgeError, CapabilityError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.canopen_drive import CanOpenSlave
-from sim_backends.canopen_station import attach_to_wire
 from sim_backends.canopen_strict import StrictSlave
-from sim_backends.canopen_wire import SimWire
 from sim_backends.clock import SimClock
 from sim_backends.homing import HOMING_METHODS
 from sim_backends.maker_file import TECHNOSOFT, TRINAMIC, MakerFile, MotionUnits, number_in, read_maker_file

@@ -45,7 +45,7 @@ from drivers.modbus.wire import PymodbusWire, Request
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from hil.desk.stop import Pacing, Stop, StoppedByOperator
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.faults import WireFaultKind
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server

@@ -33,7 +33,7 @@ from drivers.modbus.map_roles import Write
 from drivers.modbus.register_access import RegisterAccess
 from drivers.scaling import AxisScaling
 from drivers.shutdown import Left, StoppableDrive
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_dictionary import Dictionary, RefusedError
 from sim_backends.canopen_profile import DriveProfile
 from sim_backends.clock import SimClock

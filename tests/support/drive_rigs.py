@@ -11,6 +11,8 @@ from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 
 import pytest
+from support.can_bench import attach_to_wire
+from support.can_wire import SimWire
 from support.served_drive import served
 
 from drivers.canopen.bus import CanLink
@@ -22,9 +24,7 @@ from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import BareShaft
-from sim_backends.canopen_station import attach_to_wire
-from sim_backends.canopen_wire import SimWire
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_drive import rtu_slave, tcp_server

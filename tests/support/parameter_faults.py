@@ -13,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import can
+from support.can_wire import SimWire, WirePort
 from support.parameter_rigs import ParameterRig, maker_keys, maker_set
 
 from drivers.canopen.bus import CanLink
@@ -26,7 +27,6 @@ from hil.parameters.report import Ending
 from hil.parameters.transaction import Target
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash
-from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.faults import CanFaultKind
 
 COUNT = 40

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from support.can_bench import CanBench
+
 from drivers.canopen.bus import FASTEST, CanLink
 from drivers.canopen.eds import EdsFile, load_eds
 from drivers.canopen.known_objects import address_of
@@ -14,7 +16,6 @@ from drivers.canopen.raw_parameters import CanOpenRawParameters
 from drivers.canopen.side_by_side import CanLine
 from hil.parameters.journal import Journal
 from hil.parameters.set_file import ParameterSet, SetEntry
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_faults import CanFault
 from sim_backends.canopen_store import Flash

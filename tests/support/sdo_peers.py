@@ -5,8 +5,8 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator
 
-from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_wire import SimWire
+from support.can_bench import CanBench
+from support.can_wire import SimWire
 
 Answers = Iterable[tuple[float, bytes]]
 """(delay after the frame before, s; frame): an answer to one request. An endless sequence is sent for as long as time runs."""

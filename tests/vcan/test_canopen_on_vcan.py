@@ -15,7 +15,7 @@ from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import CanOpenSlave
 from sim_backends.servo import SimulatedServo
 

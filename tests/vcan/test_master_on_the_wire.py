@@ -16,7 +16,7 @@ from drivers.clock import WallClock
 from drivers.drive import ServoDrive
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.servo import SimulatedServo
 
 pytestmark = pytest.mark.vcan

@@ -8,6 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from support.can_bench import CanBench
+from support.can_wire import Node
+
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
 from drivers.canopen.node import NmtCommand, NodeMonitor
@@ -16,8 +19,6 @@ from drivers.cia402.modes import Mode
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import CanBench
-from sim_backends.canopen_wire import Node
 
 NODE = 5
 

@@ -12,7 +12,7 @@ from drivers.limits import DriveLimits
 from drivers.paced_stream import PacedStream
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.servo import ServoParameters, SimulatedServo
 from sim_backends.virtual_drive import VirtualDrive

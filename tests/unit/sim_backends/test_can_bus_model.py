@@ -3,8 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from sim_backends.can_bus_model import crc15, frame_bits, stuff_bits, wire_time_ns
+from support.can_bus_model import crc15, frame_bits, stuff_bits, wire_time_ns
 
 
 @given(identifier=st.integers(0, 0x7FF), data=st.binary(max_size=8))

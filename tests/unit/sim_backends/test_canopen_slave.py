@@ -6,7 +6,7 @@ import pytest
 
 from drivers.drive import DriveState
 from drivers.errors import InputError
-from sim_backends.canopen_bench import SMALL_SERVO, BareShaft
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_dictionary import Dictionary, RefusedError, load_items
 from sim_backends.canopen_drive import EDS, CanOpenSlave, NmtState
 from sim_backends.servo import SimulatedServo

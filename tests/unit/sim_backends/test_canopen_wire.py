@@ -6,9 +6,9 @@ from itertools import pairwise
 
 import can
 import pytest
+from support.can_bus_model import frame_bits
+from support.can_wire import SimWire, WirePort
 
-from sim_backends.can_bus_model import frame_bits
-from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.clock import SimClock
 
 

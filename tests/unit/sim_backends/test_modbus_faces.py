@@ -15,7 +15,7 @@ from drivers.modbus.link import ModbusLink
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, RegisterMap, RegisterRights
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import KEPT, Cia402Registers
 from sim_backends.modbus_registers import Face, Space

@@ -14,13 +14,13 @@ from itertools import pairwise
 
 import can
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.adapters import SEND_S, bound_sending
 from drivers.canopen.bus import POLL_S, STOP_SEND_S, CanLink
 from drivers.canopen.sync import SYNC_SILENCE_S, SYNC_STEP_S, Sync
 from drivers.clock import IO_SLICE_S, WallClock
 from drivers.errors import LinkLostError
-from sim_backends.canopen_bench import CanBench
 from sim_backends.clock import SimClock
 
 

@@ -6,13 +6,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.node import NmtState
 from drivers.canopen.scan import FoundNode, listen, scan
 from drivers.clock import NS_PER_S
 from drivers.drive import DriveState
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
 

@@ -10,13 +10,13 @@ import canopen
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.can_bus_model import frame_bits as bus_bits
 
 from drivers.canopen.dcf import pack_concise, render_dcf, unpack_concise
 from drivers.canopen.eds import load_eds
 from drivers.canopen.sdo_transfer import Conversation, download, upload
 from drivers.canopen.wire_time import frame_bits, transfer
 from drivers.errors import InputError
-from sim_backends.can_bus_model import frame_bits as bus_bits
 from sim_backends.canopen_dictionary import Dictionary, load_items
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_sdo_server import SdoServer

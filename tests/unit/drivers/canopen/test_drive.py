@@ -10,6 +10,7 @@ from pathlib import Path
 
 import can
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -32,7 +33,7 @@ from drivers.errors import (
 )
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
-from sim_backends.canopen_bench import SMALL_SERVO, CanBench
+from sim_backends.bare_shaft import SMALL_SERVO
 from sim_backends.canopen_drive import EDS
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind

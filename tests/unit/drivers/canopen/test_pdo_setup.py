@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.pdo import COB_ID, EVENT, KIND, SYNC_EVERY, Pdo, PdoSpec
@@ -13,7 +14,6 @@ from drivers.canopen.sdo import SdoClient
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, ProtocolError
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_dictionary import WRONG_STATE, RefusedError
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind

@@ -13,6 +13,7 @@ from itertools import cycle, repeat
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from support.can_bench import CanBench
 from support.sdo_peers import Answers, Flood, Peer, bare_bus
 
 from drivers.canopen.bus import CanLink
@@ -34,7 +35,6 @@ from drivers.canopen.side_by_side import CanLine
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, BridgeError, NoAnswerError, OtherAnswerError, ProtocolError
-from sim_backends.canopen_bench import CanBench
 
 NODE, INDEX = 6, 0x2100
 MUX = struct.pack("<HB", INDEX, 0)

@@ -5,6 +5,7 @@ from collections.abc import Callable, Iterator
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.can_bench import CanBench
 
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
@@ -13,7 +14,6 @@ from drivers.canopen.side_by_side import CanLine
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
 from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError, StateError
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
 

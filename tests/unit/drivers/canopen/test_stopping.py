@@ -12,6 +12,7 @@ from functools import partial
 
 import can
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings, HomingSettings
@@ -41,7 +42,7 @@ from drivers.standstill import STILL_MM_S, STILL_S, Standstill
 from drivers.undo import undo_all
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
-from sim_backends.canopen_bench import SMALL_SERVO, CanBench
+from sim_backends.bare_shaft import SMALL_SERVO
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
 

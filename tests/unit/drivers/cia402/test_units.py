@@ -4,6 +4,7 @@ from fractions import Fraction
 from functools import partial
 
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -16,7 +17,6 @@ from drivers.cia402.units import motion_units, read_units
 from drivers.errors import AbortError, BridgeError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling, MotionScaling, ReportedScaling
-from sim_backends.canopen_bench import CanBench
 
 NODE = 5
 INCREMENTS, MICROMETRES, MILLIMETRES, TENTHS_OF_MICROMETRES = 0x00B50000, 0xFA010000, 0xFD010000, 0xF9010000

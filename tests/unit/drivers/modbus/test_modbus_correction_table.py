@@ -18,7 +18,7 @@ from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
 from drivers.modbus.wear import WearLedger
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.clock import SimClock
 from sim_backends.modbus_cia402 import Cia402Registers
 from sim_backends.modbus_registers import Face

@@ -9,6 +9,8 @@ from dataclasses import replace
 from fractions import Fraction
 
 import pytest
+from support.can_bench import attach_to_wire
+from support.can_wire import SimWire
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive
@@ -20,8 +22,6 @@ from hil.axis.axis_file import MeasurementConfig
 from hil.doctor.procedure import CAREFUL_MM_S, Check, doctor, explain_ratio, explain_speed
 from hil.machine.session import AxisSession
 from sim_backends.bench import Bench, BenchParameters
-from sim_backends.canopen_station import attach_to_wire
-from sim_backends.canopen_wire import SimWire
 from sim_backends.plant.parameters import geometric_axis
 from sim_backends.virtual_drive import VirtualDrive
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import can
 import pytest
+from support.can_bench import CanBench
 
 from drivers.canopen.bus import CanLink
 from drivers.canopen.drive import CanOpenDrive, CanOpenSettings
@@ -37,7 +38,6 @@ from hil.drive_table.change import (
 )
 from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
-from sim_backends.canopen_bench import CanBench
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
 from sim_backends.own_table import ARRAY, TableForm, error_domain

@@ -30,7 +30,7 @@ from hil.machine.bench_wiring import bench_parameters, running_bench
 from hil.machine.wiring import connected, connected_drive
 from hil.parameters.wiring import connected_parameters
 from hil.records.journal import Campaign
-from sim_backends.canopen_bench import BareShaft
+from sim_backends.bare_shaft import BareShaft
 from sim_backends.faults import Fault, FaultKind
 from sim_backends.servo import SimulatedServo
 from sim_backends.virtual_drive import VirtualDrive

@@ -1,50 +1,53 @@
-"""The smallest CANopen bench: bare motors on a simulated wire, for tests of the bus rather than of the machine.
+"""Drives on the simulated wire of `can_wire`: bare motors, for tests of the bus rather than of the machine.
 
-Connects clock, servos, wire and drives in the right order. `sim_backends.bench` has screw, table and laser.
+`CanBench` connects clock, servos, wire and drives in the right order. `sim_backends.bench` has screw, table and laser.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
+from support.can_wire import SimWire, WirePort
+
+from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
 from sim_backends.canopen_drive import EDS, CanOpenSlave
-from sim_backends.canopen_faults import CanFault
-from sim_backends.canopen_station import attach_to_wire
+from sim_backends.canopen_faults import CanFault, FaultLayer
 from sim_backends.canopen_store import Flash
-from sim_backends.canopen_wire import SimWire, WirePort
 from sim_backends.clock import SimClock
 from sim_backends.faults import Fault
 from sim_backends.own_table import TableForm
 from sim_backends.servo import ServoParameters, SimulatedServo
 
 
-class BareShaft:
-    """A motor whose only load is friction."""
-
-    def __init__(self, friction_permille: float = 40.0) -> None:
-        self._at_rev = 0.0
-        self._friction = friction_permille
-        self.friction_permille = 0.0
-
-    def step(self, motor_rev: float, dt_s: float) -> None:
-        """The shaft has turned to `motor_rev` revolutions."""
-        del dt_s
-        if motor_rev != self._at_rev:
-            self.friction_permille = math.copysign(self._friction, motor_rev - self._at_rev)
-        self._at_rev = motor_rev
-
-
-SMALL_SERVO = ServoParameters(
-    counts_per_rev=100_000,
-    negative_limit_counts=-3_200_000.0,
-    positive_limit_counts=3_200_000.0,
-    negative_stop_counts=-3_300_000.0,
-    positive_stop_counts=3_300_000.0,
-)
-"""100 000 counts per revolution, ±32 revolutions between the limit switches."""
+def attach_to_wire(
+    wire: SimWire,
+    servo: SimulatedServo,
+    node_id: int = 1,
+    *,
+    parameters: Mapping[tuple[int, int], int] | None = None,
+    faults: Iterable[CanFault] = (),
+    flash: Flash | None = None,
+    table: TableForm | None = None,
+    eds: Path = EDS,
+    make: Callable[..., CanOpenSlave] = CanOpenSlave,
+) -> CanOpenSlave:
+    """Put a drive on the simulated wire and boot it; its servo has to be attached to the clock before."""
+    node = wire.add_node()
+    faults = tuple(faults)
+    made = partial(make, servo, node_id, parameters=parameters, flash=flash, table=table, eds=eds)
+    if faults:
+        layer = FaultLayer(faults, node_id, node.send, made)
+        slave = layer.slave
+        node.connect(layer.on_frame, layer.tick, layer.due_ns)
+    else:
+        slave = made(node.send)
+        node.connect(slave.on_frame, slave.tick, slave.due_ns)
+    node.on_remote = slave.on_remote
+    slave.boot(wire.clock.now_ns())
+    return slave
 
 
 @dataclass

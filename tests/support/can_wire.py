@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import can
+from support.can_bus_model import wire_time_ns
 
-from sim_backends.can_bus_model import wire_time_ns
 from sim_backends.clock import SimClock
 
 OnFrame = Callable[[int, bytes, int], None]
