@@ -30,16 +30,11 @@ class LineSplitter:
     the first line end are refused unless `from_line_start`.
     """
 
-    def __init__(self, longest_bytes: int, *, from_line_start: bool = False) -> None:
+    def __init__(self, longest_bytes: int, *, from_line_start: bool) -> None:
         self._longest = longest_bytes
         self._rest = b""
         self._overlong = False  # dropping bytes until the next line end
         self._aligned = from_line_start
-
-    @property
-    def pending_bytes(self) -> int:
-        """Bytes of the unfinished line kept for later, at most the longest line."""
-        return len(self._rest)
 
     def feed(self, data: bytes) -> Lines:
         """Lines that are complete with these bytes, in order."""

@@ -134,13 +134,8 @@ def lost_between(previous: int, sequence: int) -> int | None:
 class UmdDecoder:
     """Incremental parser; `LineSplitter` handles lines in pieces, line ends and joining in mid-line."""
 
-    def __init__(self, *, from_line_start: bool = False) -> None:
-        self._lines = LineSplitter(MAX_LINE_BYTES, from_line_start=from_line_start)
-
-    @property
-    def pending_bytes(self) -> int:
-        """Bytes of the unfinished line kept for later, at most MAX_LINE_BYTES."""
-        return self._lines.pending_bytes
+    def __init__(self) -> None:
+        self._lines = LineSplitter(MAX_LINE_BYTES, from_line_start=False)
 
     def feed(self, data: bytes) -> list[UmdEvent]:
         """Events completed by these bytes, in order. Raises nothing."""

@@ -108,7 +108,7 @@ _STATUS = {
 class UmdLaser(DistanceInstrument):
     """The instrument. `poll` returns the readings received and never waits; there is no thread.
 
-    With `compensate_air`, good readings are withheld until the air's index is known: `missing_air` names the missing quantities.
+    With `compensate_air`, good readings are withheld until the air's index is known.
     """
 
     name = "umd"
@@ -126,7 +126,6 @@ class UmdLaser(DistanceInstrument):
         self._sequence: int | None = None
         self._latched: ReadingStatus | None = None
         self._unit_mm: float | None = None
-        self._index: float | None = None
         self._index_at_zero: float | None = None
         self._dead_path_shift_mm = 0.0
         self.bad_lines = 0
@@ -199,11 +198,6 @@ class UmdLaser(DistanceInstrument):
         position_mm = settings.direction * (units * self._unit_mm - self._dead_path_shift_mm)
         return Reading(now_ns, status, position_mm, sample.sequence, lost, since_ns)
 
-    @property
-    def loss_latched(self) -> ReadingStatus | None:
-        """Why positions are withheld although the signal may be back; None when they are not."""
-        return self._latched
-
     def acknowledge_loss(self) -> bool:
         """Allow positions again; their zero is another one."""
         latched, self._latched = self._latched, None
@@ -247,27 +241,14 @@ class UmdLaser(DistanceInstrument):
         if temp_c is None or pressure_hpa is None or humidity is None:
             return
         try:
-            self._index = settings.air_equation(temp_c, pressure_hpa, humidity, settings.vacuum_wavelength_nm)
+            index = settings.air_equation(temp_c, pressure_hpa, humidity, settings.vacuum_wavelength_nm)
         except InputError:
             return  # an implausible sensor value changes nothing; it shows in environment()
-        self._unit_mm = vacuum_mm / self._index
+        self._unit_mm = vacuum_mm / index
         if settings.dead_path_mm:
             if self._index_at_zero is None:
-                self._index_at_zero = self._index
-            self._dead_path_shift_mm = settings.dead_path_mm * (self._index - self._index_at_zero) / self._index
-
-    @property
-    def air_index(self) -> float | None:
-        """Refractive index in use, None while unknown or not compensated."""
-        return self._index
-
-    @property
-    def missing_air(self) -> tuple[str, ...]:
-        """Air quantities without which no position can be given; empty when all are known or nothing is compensated."""
-        if not self.settings.compensate_air:
-            return ()
-        names = ("air temperature", "air pressure", "air humidity")
-        return tuple(name for name, value in zip(names, self._air(), strict=True) if value is None)
+                self._index_at_zero = index
+            self._dead_path_shift_mm = settings.dead_path_mm * (index - self._index_at_zero) / index
 
     def environment(self) -> Environment:
         temp_c, pressure_hpa, humidity = self._air()

@@ -32,16 +32,6 @@ def _drive_map(path: Path, text: str) -> DriveMap:
     return drive
 
 
-def load_register_map(name_or_path: str | Path) -> RegisterMap:
-    """Read [map] and [registers] of a file; a [drive] part is checked too. Raises InputError naming file, line and key."""
-    document = Document.read(find_map(name_or_path))
-    registers = parse_registers(document)
-    if "drive" in document:
-        _drive(document, registers)
-    document.finish()
-    return registers
-
-
 def _drive(document: Document, registers: RegisterMap) -> DriveMap:
     document.context = registers
     drive = document.load(DriveMap, "drive", usual={"registers": registers})

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from hostile import files
+from support.register_maps import load_register_map
 
 from drivers.canopen.dcf import pack_concise, unpack_concise
 from drivers.canopen.eds import load_eds
@@ -19,7 +20,6 @@ from drivers.instruments.ascii_values import AsciiDecoder, AsciiSettings
 from drivers.instruments.nd2xx import Nd2xxDecoder
 from drivers.instruments.replay import Recording
 from drivers.instruments.umd import UmdDecoder
-from drivers.modbus.map_loader import load_register_map
 from drivers.toml_schema import Document
 from hil.correction.formats import fanuc, keysight, linuxcnc, measured_csv, sinumerik, twincat, wide_iso
 from hil.correction.manual import read_manual_tables

@@ -34,11 +34,6 @@ OURS = {
 }
 """Bases that call no other method of a subclass than those with two underscores."""
 EXCEPTIONS = {
-    "drivers.instruments.lines.LineSplitter.pending_bytes": "tests see by it that what is kept is bounded",
-    "drivers.instruments.umd.UmdDecoder.pending_bytes": "tests see by it that what is kept is bounded",
-    "drivers.instruments.umd_laser.UmdLaser.loss_latched": "tests see by it why positions are withheld",
-    "drivers.instruments.umd_laser.UmdLaser.missing_air": "tests see by it why positions are withheld",
-    "drivers.modbus.map_loader.load_register_map": "tests of the registers alone, without a drive",
     "drivers.toml_schema.keys_of": "tests/study/axis_reference.py writes a page with it",
     "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
     "hil.__getattr__": "Python calls it",

