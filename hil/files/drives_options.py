@@ -60,7 +60,7 @@ def add_parser(subparsers: argparse._SubParsersAction[argparse.ArgumentParser]) 
     for question in QUESTIONS:
         job.add_argument(question.option, metavar=question.metavar, help=question.asks)
     job.add_argument(
-        "--direction", type=int, choices=(1, -1), default=1, help="-1: the table moves down when counts rise"
+        "--direction", type=int, choices=(1, -1), default=1, help="-1: the table's position falls when counts rise"
     )
     job.add_argument(
         "--known", metavar="REG=VALUE", help="what the drive's display shows of a register: finds the word order"

@@ -60,15 +60,12 @@ KINDS = {"drive": connections._KEYS, "instrument": instrument._KEYS}
 HEAD = """\
 # The axis file: every key
 
-Any other key is refused with its line. Nothing moves outside the limits of `[axis]`. Paths are relative to the folder of the file.
-`hil drives new X.toml` makes a first file, `hil doctor X.toml` checks one; [hil/examples/axis.toml](../examples/axis.toml) is a
-complete example.
+A key that is not listed here is refused. Nothing moves outside the limits of `[axis]`. Paths are relative to the folder of the file.
+[hil/examples/axis.toml](../examples/axis.toml) is a complete example.
 
-A line is `key = default` (allowed values): what it is. The key's name ends in its unit. Without "required" and a default a key has no
-value unless you give one. Without allowed values a key takes a number, or true or false; sizes, times and speeds may not be
-negative. A name has letters, digits, `_`, `.` and `-`.
-
-Made by `python tests/study/axis_reference.py --write`.
+A line is `key = default` (allowed values): what it is. The key's name ends in its unit. A key that has neither "required" nor a
+default has no value unless you give one. Without allowed values a key takes a number, or true or false; sizes, times and speeds may
+not be negative. A name has letters, digits, `_`, `.` and `-`.
 """
 
 
