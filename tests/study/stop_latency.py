@@ -377,9 +377,9 @@ def _busy() -> None:
 # -- the page ------------------------------------------------------------------------------------------------------------------
 HEAD = f"""# How soon a stop leaves
 
-The operator's stop is pressed at many moments of each job. The time runs from there to the first frame that stops the motion or
-switches the power off. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed.
-On Modbus the frame waits only for the request that is being answered.
+The test presses the operator's stop at many moments of each job. The time runs from the press to the first frame that stops the
+motion or switches the power off. On CAN at most {1e3 * BOUND_S:.0f} ms are allowed. On Modbus the frame waits only for the request
+that is being answered.
 
 `python tests/study/stop_latency.py --write` measures again, and writes the worst times here.
 
