@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import Any
 
 from drivers.drive import ServoDrive
@@ -23,7 +22,7 @@ from hil.backlash.result import NAMES
 from hil.figures.iso230 import MEASURED_AT_A_REVERSAL, OTHER_REVERSAL_FIGURES
 from hil.machine.wiring import connected_drive
 from hil.ui.terminal.axis_options import open_store, tell_bench
-from hil.ui.terminal.output import finish, print_facts, print_table, times, write_json
+from hil.ui.terminal.output import finish, print_facts, print_table, say, times, write_json
 from hil.ui.terminal.progress import telling_notes, terminal_progress
 
 
@@ -49,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             done = {"amount_um": args.write_um, "written": {how.parameter or str(axis.tables_path): kept}}
         else:
             with terminal_progress() as listener:
-                found = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=_say)
+                found = measure(axis, how, drive, write=args.write, store=store, listener=listener, tell=say)
     if found is not None:
         return _measured(args, axis, found)
     if args.json:
@@ -69,10 +68,6 @@ def _measured(args: argparse.Namespace, axis: DriveAxis, found: BacklashResult) 
     if args.write and found.how.parameter is not None:
         tell_bench(axis)
     return finish(args, found)
-
-
-def _say(text: str) -> None:
-    print(f"hil: {' '.join(text.split())}", file=sys.stderr)
 
 
 def _restore(axis: DriveAxis, how: BacklashConfig, drive: ServoDrive) -> dict[str, Any]:

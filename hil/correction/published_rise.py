@@ -46,15 +46,6 @@ class TwoTanh:
             risen += self.amount_2_um * math.tanh((travel_mm - self.onset_2_mm) / self.rise_2_mm)
         return risen
 
-    @property
-    def steepest_um_per_mm(self) -> float:
-        """Upper bound of the slope of `risen_um`, µm/mm."""
-        first = self.amount_1_um / self.rise_1_mm
-        # tanh is steepest where it begins, so the sum is where one of its terms does
-        late = math.exp(-self.onset_2_mm / self.rise_1_mm)
-        sech = 2.0 * late / (1.0 + late * late)
-        return max(first, first * sech * sech + self.amount_2_um / self.rise_2_mm)
-
 
 def published_um(form: TwoTanh, direction: int, travel_mm: float, stroke_mm: float, last_um: float) -> float:
     """P, µm, in the axis's sign.

@@ -9,13 +9,9 @@ The state consists of the places of the reversals alone; the form is used only t
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
 from itertools import pairwise
 
-from drivers.errors import InputError
 from hil.correction.rise import FULL_UM, Rises
-from hil.effects.history import remembered
 
 Turns = tuple[float, ...]
 """Places, mm, of the reversals that are still remembered, the oldest first. Without any a full stroke has ended.
@@ -50,40 +46,3 @@ def wound_share(form: Rises, position_mm: float, direction: int, turns: Turns) -
     if form.amount_um < FULL_UM:
         return 1.0 if direction > 0 else 0.0
     return share_of(wound_um(form, position_mm, direction, turns), form.amount_um)
-
-
-@dataclass(frozen=True)
-class WindUp:
-    """The state. position_mm: last set-point; direction: of the motion that ended there; turns_mm: the reversals that matter."""
-
-    position_mm: float
-    direction: int
-    turns_mm: Turns = ()
-
-    def __post_init__(self) -> None:
-        if self.direction not in (1, -1) or not math.isfinite(self.position_mm):
-            raise InputError(
-                f"position {self.position_mm:g} mm, direction of arrival {self.direction}: expected a finite position and +1 or -1"
-            )
-
-    def correction_um(self, form: Rises) -> float:
-        """What to add to the command, µm: 0 after a full stroke in −, `form.amount_um` after one in +, between them otherwise.
-
-        It counts from the − side; beside tables, which hold both ends already, only the share in between is used
-        (`hil.correction.compensation`).
-        """
-        return wound_um(form, self.position_mm, self.direction, self.turns_mm)
-
-
-def moved_to(form: Rises, state: WindUp, position_mm: float) -> tuple[WindUp, float]:
-    """The state after a straight motion to a set-point, and the correction there in µm; a motion of no length changes nothing.
-
-    How a motion is cut into set-points makes no difference. Raises InputError for a position that is not finite.
-    """
-    if not math.isfinite(position_mm):
-        raise InputError(f"set-point is {position_mm} mm, expected a finite position")
-    if position_mm == state.position_mm:
-        return state, state.correction_um(form)
-    turns = remembered(state.turns_mm, state.position_mm, state.direction, position_mm)
-    after = WindUp(position_mm, 1 if position_mm > state.position_mm else -1, turns)
-    return after, after.correction_um(form)

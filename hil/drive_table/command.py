@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 
@@ -26,7 +25,7 @@ from hil.drive_table.proof import Proof
 from hil.drive_table.quantise import DriveTable
 from hil.machine.wiring import connected, connected_drive, predicted_table_s
 from hil.ui.terminal.axis_options import load_stored, open_store, tell_bench
-from hil.ui.terminal.output import finish, number, print_facts, print_table, write_json
+from hil.ui.terminal.output import finish, number, print_facts, print_table, say, write_json
 from hil.ui.terminal.progress import terminal_progress
 
 
@@ -135,7 +134,7 @@ def download_table(args: argparse.Namespace) -> int:
         _print_plan(how, axis)
         return 0
     with _open(axis, how) as there:
-        found = download(there, stored, made, how, _say)
+        found = download(there, stored, made, how, say)
     print_facts({**facts, "written and read back in": f"{found.seconds * 1000:.0f} ms"})
     print_proof(found.proof)
     print("put back as it was found" if found.undone else "the drive corrects by it now; the bridge must not")
@@ -180,12 +179,8 @@ def remove_table(args: argparse.Namespace) -> int:
         )
         return 0
     with connected_drive(axis) as drive:
-        found = remove(axis, drive, _say, keep_contents=args.keep_contents)
+        found = remove(axis, drive, say, keep_contents=args.keep_contents)
     print_facts(found_facts(found))
     if args.json:
         write_json(args.json, {"axis": axis.name, "enabled": found.enabled, "points": len(found.raw.plus)})
     return 0
-
-
-def _say(text: str) -> None:
-    print(f"hil: {' '.join(text.split())}", file=sys.stderr)

@@ -32,8 +32,6 @@ from hil.fleet.values import TORQUE_FILE, is_result
 from hil.records.files import held, parse_json
 from hil.records.journal import CHECKSUMS, MARKER
 
-FOLDER = "fleet-index"
-"""Name of the index in the directory that it is of, where no other place is named."""
 STATE = "fleet-index.json"
 FORMAT = 1
 BATCH = 100

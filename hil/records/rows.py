@@ -26,21 +26,6 @@ from drivers.files import is_row, read_text, without_empty_end
 Floats = NDArray[np.float64]
 
 REQUIRED = ("run", "direction", "target_mm", "measured_mm")
-OPTIONAL = (
-    "command_mm",
-    "time_s",
-    "velocity_mm_s",
-    "since_reversal_mm",
-    "stroke_mm",
-    "motor_mm",
-    "torque_percent",
-    "load_kg",
-    "pitch_urad",
-    "yaw_urad",
-    "air_temp_c",
-    "air_pressure_hpa",
-    "air_humidity_percent",
-)
 UM_PER_MM = 1000.0
 
 LARGEST = 1e30

@@ -12,11 +12,11 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from support.wind_up import WindUp as State
+from support.wind_up import moved_to
 
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.rise import STRAIGHT_PIECES, TWO_TANH, Rise
-from hil.correction.running_lost_motion import WindUp as State
-from hil.correction.running_lost_motion import moved_to
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.lost_motion.estimate import Estimate, estimate
 from hil.lost_motion.fit import MeasuredReversal, fit

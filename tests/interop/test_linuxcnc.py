@@ -170,7 +170,7 @@ def machine() -> TableSet:
 @pytest.mark.parametrize("comp_type", [0, 1])
 def test_linuxcnc_adds_what_our_tables_say(comp_type: int) -> None:
     tables = machine()
-    text = linuxcnc.dump(tables, LinuxCncSettings(comp_type))
+    text = linuxcnc.export(tables, LinuxCncSettings(comp_type)).text
     nodes = tables.pitch.position_mm
     random = np.random.default_rng(comp_type).uniform(nodes[0], nodes[-1], 38)
     upwards = np.round(np.sort(np.concatenate([random, nodes[::3], [nodes[0] - 40, nodes[-1] + 40]])), 6)
@@ -192,6 +192,6 @@ def test_linuxcnc_adds_what_our_tables_say(comp_type: int) -> None:
 
 def test_linuxcnc_stops_reading_at_a_header() -> None:
     """Why our file has none, and why `load` refuses one: the control says nothing and corrects nothing."""
-    text = "# nominal forward reverse\n" + linuxcnc.dump(machine())
+    text = "# nominal forward reverse\n" + linuxcnc.export(machine()).text
     readings = run_linuxcnc(text, 1, [10.0, 100.0])
     assert [reading["added_mm"] for reading in readings] == [0.0, 0.0]

@@ -35,7 +35,6 @@ OURS = {
 """Bases that call no other method of a subclass than those with two underscores."""
 EXCEPTIONS = {
     "drivers.toml_schema.keys_of": "tests/study/axis_reference.py writes a page with it",
-    "hil.correction.published_rise.TwoTanh.steepest_um_per_mm": "tests hold the slope against it",
     "hil.__getattr__": "Python calls it",
     "hil.diagnosis.__getattr__": "Python calls it",
     "hil.effects.non_parametric.fine_form": "models of earlier versions hold such terms, which tests make with it",

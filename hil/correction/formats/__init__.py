@@ -1,7 +1,7 @@
 """Foreign file formats: compensation tables of CNC controllers, and measurements of other programs.
 
 One module per format, without I/O: the command line names, reads and writes the files. The module of a controller's format has a
-frozen settings class, `export` and `dump` (tables to text) and `load` (text to tables); that of a measurement has `load` (text to
+frozen settings class, `export` (tables to text) and `load` (text to tables); that of a measurement has `load` (text to
 records).
 """
 

@@ -21,7 +21,6 @@ from hil.correction.tables import DirectionalTable, SingleTable, TableMode, Tabl
 from hil.effects import Term
 from hil.records.rows import UM_PER_MM, Floats, Records, parse_number, refuse_other_units, repeats, shown
 
-NM_IN_UM = 1e-3
 LENGTH_MM = {
     "nm": 1e-6,
     "um": 1e-3,

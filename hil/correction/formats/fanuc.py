@@ -159,10 +159,6 @@ def export(tables: TableSet, settings: FanucSettings = FanucSettings()) -> Expor
     return Export(text, points, deviation, shift, notes)
 
 
-def dump(tables: TableSet, settings: FanucSettings = FanucSettings()) -> str:
-    return export(tables, settings).text
-
-
 def _check_interval(step_mm: float, settings: FanucSettings) -> None:
     if settings.rapid_mm_min is not None and step_mm < settings.rapid_mm_min / 7500:
         raise InputError(

@@ -73,10 +73,6 @@ def export(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) ->
     return Export(text, len(lines), deviation, notes=notes)
 
 
-def dump(tables: TableSet, settings: LinuxCncSettings = LinuxCncSettings()) -> str:
-    return export(tables, settings).text
-
-
 def load(text: str, settings: LinuxCncSettings = LinuxCncSettings()) -> TableSet:
     """The tables of a COMP_FILE. Its type and unit are taken from the settings, as the file does not hold them.
 

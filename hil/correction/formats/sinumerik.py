@@ -283,10 +283,6 @@ def export(tables: TableSet, settings: SinumerikSettings = SinumerikSettings()) 
     return _eec(wanted, shift, settings) if settings.table == "eec" else _cec(tables, wanted, shift, settings)
 
 
-def dump(tables: TableSet, settings: SinumerikSettings = SinumerikSettings()) -> str:
-    return export(tables, settings).text
-
-
 def _resampled(table: DirectionalTable, settings: SinumerikSettings) -> tuple[DirectionalTable, float]:
     return equidistant(
         table,

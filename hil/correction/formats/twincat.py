@@ -88,10 +88,6 @@ def export(tables: TableSet, settings: TwinCatSettings = TwinCatSettings()) -> E
     return Export(text, len(setpoints), deviation, notes=tuple(notes))
 
 
-def dump(tables: TableSet, settings: TwinCatSettings = TwinCatSettings()) -> str:
-    return export(tables, settings).text
-
-
 _ENTRY = re.compile(r"(kopf|kw)\.([\w.]+?)(?:\[(\d{1,9})\]\.(\w+))?\s+(\S.*)$")
 
 

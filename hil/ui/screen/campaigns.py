@@ -12,7 +12,6 @@ from hil.figures.iso230 import Iso230
 from hil.records.journal import measurement_of
 
 Points = tuple[tuple[float, float], ...]
-DAY_S = 86400.0
 STATES = ("torn", "changed", "open", "closed")
 """From the worst to the best."""
 

@@ -74,6 +74,11 @@ def finish(args: argparse.Namespace, result: Result) -> int:
     return 0 if result.good else 1
 
 
+def say(text: str) -> None:
+    """A sentence on standard error, on one line."""
+    print(f"hil: {' '.join(text.split())}", file=sys.stderr)
+
+
 def number(value: float | None, decimals: int = 2) -> str:
     """A figure for a table cell; a dash where there is none."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"

@@ -110,11 +110,11 @@ def test_linuxcnc_round_trip(tables: TableSet, comp_type: int, unit: str) -> Non
 
 def test_linuxcnc_signs_and_layout(small: TableSet) -> None:
     """Trims are added to the command; type 0 gives the position that is reached, nominal + error = nominal - correction."""
-    trims = linuxcnc.dump(small, LinuxCncSettings(comp_type=1))
+    trims = linuxcnc.export(small, LinuxCncSettings(comp_type=1)).text
     assert trims.splitlines()[1] == "20.000000000 0.005000000 0.001000000"
-    reached = linuxcnc.dump(small, LinuxCncSettings(comp_type=0))
+    reached = linuxcnc.export(small, LinuxCncSettings(comp_type=0)).text
     assert reached.splitlines()[1] == "20.000000000 19.995000000 19.999000000"
-    inches = linuxcnc.dump(small, LinuxCncSettings(comp_type=1, unit="inch"))
+    inches = linuxcnc.export(small, LinuxCncSettings(comp_type=1, unit="inch")).text
     assert inches.splitlines()[1].split()[0] == "0.787401575"
     assert all(len(line.split()) == 3 for line in trims.splitlines())
     assert not any(mark in trims for mark in "#;(")
@@ -130,14 +130,14 @@ def test_linuxcnc_thins_what_has_too_many_points() -> None:
     assert worst_um(tables, linuxcnc.load(made.text)) < 1e-4
     rough_tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(positions, rough, rough))
     with pytest.raises(InputError, match=r"600 points, and at most 256 fit; with that many it deviates by 0\.0"):
-        linuxcnc.dump(rough_tables, LinuxCncSettings(tolerance_um=0.01))
+        linuxcnc.export(rough_tables, LinuxCncSettings(tolerance_um=0.01))
     for amplitude in (0.0502, 0.0506):  # the tolerance that is advised is accepted, however its last digit was rounded
         uneven = straight + amplitude * (-1.0) ** np.arange(600)
         advised_tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(positions, uneven, uneven))
         with pytest.raises(InputError, match="allow that") as refused:
-            linuxcnc.dump(advised_tables, LinuxCncSettings(tolerance_um=0.01))
+            linuxcnc.export(advised_tables, LinuxCncSettings(tolerance_um=0.01))
         advised = float(str(refused.value).split("deviates by ")[1].split()[0])
-        linuxcnc.dump(advised_tables, LinuxCncSettings(tolerance_um=advised))
+        linuxcnc.export(advised_tables, LinuxCncSettings(tolerance_um=advised))
     allowed = linuxcnc.export(rough_tables, LinuxCncSettings(tolerance_um=0.11))
     assert 0.0 < allowed.deviation_um <= 0.1101
     assert worst_um(rough_tables, linuxcnc.load(allowed.text)) == pytest.approx(allowed.deviation_um, abs=1e-4)
@@ -183,7 +183,7 @@ def test_sinumerik_a_positive_value_moves_the_axis_down() -> None:
     assert tables.correction_um([-200.0, -199.0, -198.0, -197.0], 1) == pytest.approx([-3, -10, -12, 0])
     assert tables.correction_um(-199.5, -1) == pytest.approx(-6.5)
     assert tables.correction_um([-300.0, 0.0], 1) == pytest.approx([-3, 0])
-    again = sinumerik.dump(tables, SinumerikSettings(table="eec", reference_mm=0.0))
+    again = sinumerik.export(tables, SinumerikSettings(table="eec", reference_mm=0.0)).text
     values = [line for line in again.splitlines() if line.startswith("$")]
     assert values[:4] == [
         "$AA_ENC_COMP[0,0,X1]=0.003000",
@@ -222,7 +222,7 @@ def test_sinumerik_eec_round_trip(tables: TableSet, towards: int) -> None:
 
 
 def test_sinumerik_two_tables_by_direction(small: TableSet) -> None:
-    text = sinumerik.dump(small, SinumerikSettings(axis="AX3", index=4, reference_mm=10.0))
+    text = sinumerik.export(small, SinumerikSettings(axis="AX3", index=4, reference_mm=10.0)).text
     assert "$AN_CEC[4,1]=-0.005000" in text
     assert "$AN_CEC[5,1]=-0.001000" in text
     assert "$AN_CEC_DIRECTION[4]=1" in text
@@ -254,7 +254,7 @@ def test_sinumerik_table_is_that_of_the_reference_direction(small: TableSet) -> 
 
 def test_sinumerik_wants_zero_at_the_reference(small: TableSet) -> None:
     with pytest.raises(InputError, match=r"reference point 20 mm is 5\.000 µm .* allow the shift"):
-        sinumerik.dump(small, SinumerikSettings(reference_mm=20.0))
+        sinumerik.export(small, SinumerikSettings(reference_mm=20.0))
     made = sinumerik.export(small, SinumerikSettings(reference_mm=20.0, allow_shift=True))
     assert made.shift_um == 5.0
     assert "$AN_CEC[0,1]=0.000000" in made.text
@@ -263,13 +263,13 @@ def test_sinumerik_wants_zero_at_the_reference(small: TableSet) -> None:
 def test_sinumerik_cross_axis_goes_into_a_third_table(small: TableSet) -> None:
     at, plus_um = np.array([10.0, 30.0]), np.array([0.0, 6.0])
     tables = replace(small, straightness=DirectionalTable.alike(at, plus_um), straightness_axis="Y1")
-    text = sinumerik.dump(tables, SinumerikSettings(reference_mm=10.0))
+    text = sinumerik.export(tables, SinumerikSettings(reference_mm=10.0)).text
     assert "$AN_CEC_OUTPUT_AXIS[2]=(Y1)" in text
     again = sinumerik.load(text)
     assert again.straightness_axis == "Y1"
     assert again.cross_correction_um([20.0, 20.0], [1, -1], "Y1") == pytest.approx(3.0)
     by_direction = replace(tables, straightness=DirectionalTable(at, plus_um, plus_um / 2.0))
-    each = sinumerik.dump(by_direction, SinumerikSettings(reference_mm=10.0))
+    each = sinumerik.export(by_direction, SinumerikSettings(reference_mm=10.0)).text
     assert [f"$AN_CEC_DIRECTION[{index}]={sign}" in each for index, sign in ((2, 1), (3, -1))] == [True, True]
     assert sinumerik.load(each).cross_correction_um([20.0, 20.0], [1, -1], "Y1") == pytest.approx([3.0, 1.5])
     with pytest.raises(InputError, match=r"second one for direction \+1"):
@@ -291,16 +291,16 @@ def test_sinumerik_says_what_to_change() -> None:
     with pytest.raises(
         InputError, match=r"differ by 3\.000 to 9\.000 µm .* allow a deviation \(tolerance_um\) of 1\.500"
     ):
-        sinumerik.dump(tables, SinumerikSettings(table="eec"))
+        sinumerik.export(tables, SinumerikSettings(table="eec"))
     with pytest.raises(InputError, match=r"with a step of 7 mm the table deviates by"):
-        sinumerik.dump(tables, SinumerikSettings(step_mm=7.0))
+        sinumerik.export(tables, SinumerikSettings(step_mm=7.0))
     with pytest.raises(InputError, match=r"no equal step with at most 3 points .* the best"):
-        sinumerik.dump(tables, SinumerikSettings(max_points=3))
+        sinumerik.export(tables, SinumerikSettings(max_points=3))
     with pytest.raises(InputError, match=r"a step of 0\.1 mm needs 214 points, and at most 200 fit"):
-        sinumerik.dump(tables, SinumerikSettings(step_mm=0.1))
+        sinumerik.export(tables, SinumerikSettings(step_mm=0.1))
     large = TableSet(TableMode.BIDIRECTIONAL, tables.pitch.scaled(200))
     with pytest.raises(InputError, match="MD32720"):
-        sinumerik.dump(large, SinumerikSettings(tolerance_um=20))
+        sinumerik.export(large, SinumerikSettings(tolerance_um=20))
     made = sinumerik.export(tables, SinumerikSettings(table="eec", tolerance_um=1.5, allow_shift=True))
     assert worst_um(tables, sinumerik.load(made.text), made.shift_um) <= 3.01
 
@@ -346,7 +346,7 @@ def test_fanuc_sums_of_the_manuals_example() -> None:
     assert (at[0.0], at[50.0], at[100.0], at[-50.0], at[-100.0]) == (0.0, 2.0, 3.0, 1.0, 1.0)
     assert (at[-250.0], at[-400.0], at[300.0], at[450.0]) == (4.0, 0.0, -1.0, 2.0)
     chosen = FanucSettings(bidirectional=False, step_mm=50.0, first_number=33)
-    again = fanuc.dump(tables, chosen)
+    again = fanuc.export(tables, chosen).text
     for number, value in zip(B63980_NUMBERS, B63980_VALUES, strict=True):
         assert f"N{10000 + number} R{value}\n" in again
     assert {"N3620 P1 R40", "N3621 P1 R33", "N3622 P1 R49"} <= set(again.splitlines())
@@ -447,22 +447,22 @@ def test_fanuc_says_what_to_change(small: TableSet) -> None:
     with pytest.raises(
         InputError, match=r"needs 28 steps of 1 µm, expected at most 7: set a magnification \(3623\) of 4"
     ):
-        fanuc.dump(steep, chosen)
+        fanuc.export(steep, chosen)
     assert fanuc.export(steep, replace(chosen, magnification=4)).deviation_um < 1e-9
     with pytest.raises(InputError, match=r"reference point 20 mm is 5\.000 µm"):
-        fanuc.dump(small, replace(chosen, reference_mm=20.0))
+        fanuc.export(small, replace(chosen, reference_mm=20.0))
     with pytest.raises(InputError, match=r"less than the 16\.000 mm"):
-        fanuc.dump(small, replace(chosen, rapid_mm_min=120_000))
+        fanuc.export(small, replace(chosen, rapid_mm_min=120_000))
     with pytest.raises(InputError, match=r"needs \d+ points, and at most"):
-        fanuc.dump(small, replace(chosen, step_mm=0.02))
+        fanuc.export(small, replace(chosen, step_mm=0.02))
     with pytest.raises(InputError, match=r"the step is 0\.0015 mm, expected a multiple of 0\.001 mm"):
-        fanuc.dump(small, replace(chosen, step_mm=0.0015))
+        fanuc.export(small, replace(chosen, step_mm=0.0015))
     uneven = TableSet(
         TableMode.BIDIRECTIONAL,
         DirectionalTable(small.pitch.position_mm, small.pitch.plus_um, small.pitch.plus_um - [4.0, 6.0, 4.0]),
     )
     with pytest.raises(InputError, match="export both directions"):
-        fanuc.dump(uneven, replace(chosen, bidirectional=False))
+        fanuc.export(uneven, replace(chosen, bidirectional=False))
 
 
 @pytest.mark.parametrize(
@@ -502,7 +502,7 @@ def test_twincat_values_are_errors() -> None:
         TableMode.BIDIRECTIONAL,
         DirectionalTable(positions, np.array([0.0, -error_um[1]]), np.array([0.0, -error_um[-1]])),
     )
-    entries = dict(line.split() for line in twincat.dump(tables, TwinCatSettings(2, "Y-AXIS")).splitlines())
+    entries = dict(line.split() for line in twincat.export(tables, TwinCatSettings(2, "Y-AXIS")).text.splitlines())
     assert entries["kw.ssfk.table[1].setpoint"] == "198667"
     assert entries["kw.ssfk.table[1].pos"] == "-102"
     assert entries["kw.ssfk.table[1].neg"] == "80"
@@ -530,7 +530,7 @@ def test_twincat_reads_equidistant_and_unilateral_lists() -> None:
 
 def test_twincat_thins_beyond_its_points(small: TableSet) -> None:
     with pytest.raises(InputError, match="3 points, and at most 2 fit"):
-        twincat.dump(small, TwinCatSettings(max_points=2))
+        twincat.export(small, TwinCatSettings(max_points=2))
 
 
 # -- all ---------------------------------------------------------------------------------------------------------------
@@ -556,13 +556,13 @@ def test_settings_are_checked(make: Callable[[], object]) -> None:
 def test_a_single_position() -> None:
     """A constant per direction: LinuxCNC and TwinCAT hold it, a grid of equal steps does not."""
     tables = TableSet(TableMode.BIDIRECTIONAL, DirectionalTable(np.array([5.0]), np.array([0.0]), np.array([-1.0])))
-    assert worst_um(tables, linuxcnc.load(linuxcnc.dump(tables))) < 1e-5
-    assert worst_um(tables, twincat.load(twincat.dump(tables))) < 1e-5
+    assert worst_um(tables, linuxcnc.load(linuxcnc.export(tables).text)) < 1e-5
+    assert worst_um(tables, twincat.load(twincat.export(tables).text)) < 1e-5
     with pytest.raises(InputError, match="needs at least two"):
-        sinumerik.dump(tables)
+        sinumerik.export(tables)
     with pytest.raises(InputError, match="needs at least two"):
-        fanuc.dump(tables, FanucSettings(reference_mm=5.0))
-    assert fanuc.load(fanuc.dump(tables)).correction_um(5.0, -1) == -1.0
+        fanuc.export(tables, FanucSettings(reference_mm=5.0))
+    assert fanuc.load(fanuc.export(tables).text).correction_um(5.0, -1) == -1.0
 
 
 SMALL = TableSet(
@@ -797,5 +797,5 @@ def test_a_fanuc_export_says_which_series_it_is_for(series: str, begin: str, one
     assert any(f"--series {other}" in note for note in made.notes)
     assert (
         fanuc.load(made.text, chosen).digest()
-        == fanuc.load(fanuc.dump(tables, replace(chosen, series=other)), chosen).digest()
+        == fanuc.load(fanuc.export(tables, replace(chosen, series=other)).text, chosen).digest()
     )

@@ -9,10 +9,10 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.wind_up import WindUp, moved_to, steepest_um_per_mm
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh, published_um
-from hil.correction.running_lost_motion import WindUp, moved_to
 
 FORM = TwoTanh(amount_1_um=8.0, amount_2_um=4.0, rise_1_mm=0.5, rise_2_mm=2.0, onset_2_mm=1.0)
 
@@ -41,7 +41,7 @@ def test_no_step_larger_than_slope_times_travel_and_never_beyond_its_ends(
 ) -> None:
     _, course = run(form, WindUp(0.0, direction), path)
     for (x0, c0), (x1, c1) in pairwise(course):
-        assert abs(c1 - c0) <= form.steepest_um_per_mm * abs(x1 - x0) + 1e-9
+        assert abs(c1 - c0) <= steepest_um_per_mm(form) * abs(x1 - x0) + 1e-9
         assert (c1 - c0) * (x1 - x0) >= -1e-9  # it never runs against the motion
         assert -1e-9 <= c1 <= form.amount_um + 1e-9
 

@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.wind_up import WindUp, moved_to
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, TWO_TANH, Rise
-from hil.correction.running_lost_motion import WindUp, moved_to, share_of, wound_share, wound_um
+from hil.correction.running_lost_motion import share_of, wound_share, wound_um
 from hil.effects.history import remembered
 from hil.lost_motion import estimate as choosing
 from hil.lost_motion.at_load import (

@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from support.places import SHARED_DATA as DATA
+from support.wind_up import WindUp, moved_to
 
 from drivers.errors import InputError
 from hil.correction.published_rise import TwoTanh
@@ -21,7 +22,6 @@ from hil.correction.rise import (
     Rise,
     Shape,
 )
-from hil.correction.running_lost_motion import WindUp, moved_to
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
 
 needs_data = pytest.mark.skipif(not DATA.is_dir(), reason=f"no measured data at {DATA} (set HIL_SHARED_DATA)")

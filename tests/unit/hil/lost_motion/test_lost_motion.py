@@ -12,6 +12,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from support.wind_up import WindUp, moved_to
 
 from drivers.errors import InputError
 from drivers.limits import DriveLimits
@@ -19,7 +20,6 @@ from hil.axis.axis_file import AxisConfig
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
 from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise
-from hil.correction.running_lost_motion import WindUp, moved_to
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, term_from_json
 from hil.lost_motion.estimate import Estimate, Uncertain

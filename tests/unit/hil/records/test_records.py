@@ -15,8 +15,23 @@ from support.corpus import check_complete, check_refused, expectations
 
 from drivers.errors import InputError
 from drivers.files import decode_text
-from hil.records.rows import LARGEST, OPTIONAL, REQUIRED, Records, concatenate, parse_csv, read_csv, to_csv
+from hil.records.rows import LARGEST, REQUIRED, Records, concatenate, parse_csv, read_csv, to_csv
 
+OPTIONAL = (
+    "command_mm",
+    "time_s",
+    "velocity_mm_s",
+    "since_reversal_mm",
+    "stroke_mm",
+    "motor_mm",
+    "torque_percent",
+    "load_kg",
+    "pitch_urad",
+    "yaw_urad",
+    "air_temp_c",
+    "air_pressure_hpa",
+    "air_humidity_percent",
+)
 CORPUS = Path(__file__).parents[1] / "corpus" / "records"
 EXPECTED = expectations(CORPUS)
 HEADER = "run,direction,target_mm,measured_mm\n"
