@@ -22,7 +22,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 from drivers.clock import IO_SLICE_S, NS_PER_S, Clock
@@ -77,18 +77,6 @@ class Doubt(Enum):
     )
 
 
-@dataclass(frozen=True)
-class LinkStatistics:
-    """Counts since the link was made."""
-
-    requests: int = 0
-    no_answers: int = 0
-    resolved_writes: int = 0
-    discarded_replies: int = 0
-    connects: int = 0
-    refused_in_backoff: int = 0
-
-
 @dataclass
 class _Unit:
     failures: int = 0
@@ -116,7 +104,6 @@ class ModbusLink:
         self.endpoint = endpoint
         self.clock = clock
         self.policy = policy or LinkPolicy()
-        self.statistics = LinkStatistics()
         self._serial = isinstance(endpoint, RtuEndpoint)
         self._silence_ns = (
             round(silent_interval_s(endpoint.baud) * NS_PER_S) if isinstance(endpoint, RtuEndpoint) else 0
@@ -171,7 +158,6 @@ class ModbusLink:
             self._missed(self._line)
             raise
         self._heard(self._line)
-        self._count(connects=1)
         for unit in self._units.values():
             unit.pending = None  # a new connection carries no old replies
 
@@ -278,7 +264,6 @@ class ModbusLink:
             raise NoAnswerError(
                 f"{lost}; not carried out, and not sent again: reads {_listed(seen)}, expected {_listed(request.values)}"
             ) from lost
-        self._count(resolved_writes=1)
 
     def _read_back(self, unit: int, request: Request, table: Table, error: BridgeError) -> tuple[int, ...]:
         try:
@@ -293,7 +278,6 @@ class ModbusLink:
             self.clock.sleep_s(self.policy.busy_pause_s)
             seen = self._read_back(unit, request, table, error)
             if seen == request.values:
-                self._count(resolved_writes=1)
                 return
             if deadline.expired:
                 break
@@ -369,17 +353,14 @@ class ModbusLink:
             self._unclean = False  # before sending: a stop may be posted meanwhile
             wire.discard(_SILENCE_S)
         self.clock.check_interrupt()  # before anything is in doubt
-        self._count(requests=1)
         began_s = time.monotonic()
         try:
             values = wire.exchange(unit, request, self._reply_s(state))
         except NoAnswerError:
             self._waited(state, began_s)
-            self._count(no_answers=1)
             self._expect_late_reply(state, request)
             raise
         except ProtocolError:
-            self._count(discarded_replies=1)
             self._expect_late_reply(state, request)
             raise
         except AbortError:
@@ -427,7 +408,6 @@ class ModbusLink:
     def _respect_backoff(self, state: _Unit, who: str, kind: type[TransportError], *, urgent: bool) -> None:
         left_ns = state.not_before_ns - self.clock.now_ns()
         if state.failures and left_ns > 0 and not urgent:
-            self._count(refused_in_backoff=1)
             raise kind(f"{who} failed {state.failures} times, not tried again for another {left_ns / NS_PER_S:.2f} s")
 
     def _missed(self, state: _Unit) -> None:
@@ -450,10 +430,6 @@ class ModbusLink:
         if not lowest <= unit <= highest:
             raise InputError(f"unit id is {unit}, expected {lowest} to {highest}")
         return self._units.setdefault(unit, _Unit())
-
-    def _count(self, **more: int) -> None:
-        now = self.statistics
-        self.statistics = replace(now, **{name: getattr(now, name) + count for name, count in more.items()})
 
 
 def _is_asked_again(code: int, request: Request, repeats: int) -> bool:

@@ -322,7 +322,7 @@ def test_a_damaged_reply_on_a_serial_line_costs_one_request_that_is_repeated_or_
         seen.frames.clear()
         with rtu_peer(peer, seen) as endpoint, linked(endpoint) as link:
             assert order(link)
-            assert link.statistics.no_answers == 1
+            assert len(seen.frames) > 1  # the first reply was not taken
         assert sum(frame.pdu[0] == 16 for _, frame in seen.frames) <= 1  # a write is sent once
 
 
@@ -384,15 +384,18 @@ def test_a_reply_of_another_length_or_function_is_said(reply: Callable[[Frame], 
 @pytest.mark.parametrize("place", [2, 4], ids=["address", "value or count"])
 @pytest.mark.parametrize("values", [(1,), (1, 2)], ids=["function 6", "function 16"])
 def test_a_write_whose_reply_names_another_place_or_value_is_read_back(values: tuple[int, ...], place: int) -> None:
+    asked = []
+
     def wrong_echo(request: Frame, send: Send) -> None:
         reply = bytearray(honest(request).pdu)
+        asked.append(reply[0])
         if reply[0] != 3:
             reply[place] ^= 8
         send(packed(request.with_pdu(bytes(reply))))
 
     with tcp_peer(wrong_echo) as endpoint, linked(endpoint) as link:
         link.write(1, HOLDING, 5, values)
-        assert link.statistics.resolved_writes == 1
+    assert asked == [6 if len(values) == 1 else 16, 3]
 
 
 @pytest.mark.parametrize("peer", [silent, dribbling, garbage, others_numbers, another_function, hanging_up])
@@ -502,8 +505,8 @@ def test_the_operator_is_heard_while_a_server_is_dialled() -> None:
 
 
 def test_the_operator_is_heard_while_another_thread_has_the_line() -> None:
-    operator = Operator()
-    with rtu_peer(silent, timeout_s=1.5) as endpoint:
+    operator, seen = Operator(), Seen()
+    with rtu_peer(silent, seen, timeout_s=1.5) as endpoint:
         link = ModbusLink(endpoint, WallClock(), policy=LinkPolicy(read_retries=0))
         link.open()
 
@@ -513,7 +516,7 @@ def test_the_operator_is_heard_while_another_thread_has_the_line() -> None:
 
         holder = threading.Thread(target=hold)
         holder.start()
-        while not link.statistics.requests:
+        while not seen.frames:
             time.sleep(0.001)
         link.clock = WallClock(operator)  # the second user's
         heard(operator, lambda: link.read(2, HOLDING, Span(0, 2)))

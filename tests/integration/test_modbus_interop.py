@@ -16,6 +16,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
 import serial
@@ -259,7 +260,6 @@ def test_every_table_is_read_up_to_the_largest_request(link: ModbusLink) -> None
     for start, count in ((0, 1), (3, 8), (5, 19), (0, SIZE)):
         assert link.read(UNIT, Table.COIL, Span(start, count)) == tuple(COILS[start : start + count])
         assert link.read(UNIT, Table.DISCRETE, Span(start, count)) == tuple(DISCRETE[start : start + count])
-    assert link.statistics.no_answers == 0
 
 
 def test_everything_that_can_be_written_is(link: ModbusLink) -> None:
@@ -298,9 +298,9 @@ def test_refusals_carry_their_code(link: ModbusLink) -> None:
 def test_a_register_map_reads_a_foreign_server_in_one_request_per_table(link: ModbusLink) -> None:
     drive = load_drive_map("vendor_style")
     access = RegisterAccess(link, UNIT, drive.registers)
-    before = link.statistics.requests
-    raw = access.read(drive.sampled())
-    assert link.statistics.requests - before == 2
+    with patch.object(link, "read", wraps=link.read) as reading:
+        raw = access.read(drive.sampled())
+    assert reading.call_count == 2
     assert raw["position"] == 0x1002 << 16 | 0x1001  # input registers 30002 and 30003, low word first
     assert raw["in_position"] == DISCRETE[3]
     access.write({"target": -5, "target_speed": 70_000, "ramp": 9})

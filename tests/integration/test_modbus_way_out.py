@@ -368,8 +368,7 @@ def test_a_line_that_loses_one_reply_in_a_hundred_can_be_worked_with(name: str) 
             assert sample.position_load_mm == pytest.approx(target_mm, abs=0.01)
         r.drive.disable()
         assert not r.servo.powered
-        statistics = r.drive.link.statistics
-        assert lost == statistics.no_answers > 3
+        assert lost > 3
         r.drive.close()
 
 

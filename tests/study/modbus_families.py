@@ -133,7 +133,6 @@ class Result:
     distance_mm: float = 0.0
     stop_mm: float = 0.0
     changed: tuple[str, ...] = ()
-    requests: int = 0
 
 
 def exercise(name: str, stack: str = "pyModbusTCP") -> Result:
@@ -167,7 +166,6 @@ def exercise(name: str, stack: str = "pyModbusTCP") -> Result:
             drive.disable()
             assert drive.sample().state is not DriveState.ENABLED
             assert not maker.servo.powered
-            result.requests = drive.link.statistics.requests
         after = maker.memory()
         result.changed = tuple(f"{address:#06x}" for address, value in maker.found.items() if after[address] != value)
     return result
