@@ -118,10 +118,6 @@ class SingleTable:
         """See `TableSet.stepped`."""
         return SingleTable(_section_ends(self.position_mm), np.repeat(self.value_um, 2))
 
-    def on(self, position_mm: Floats) -> SingleTable:
-        """The same function on other nodes (exact where they contain the old ones)."""
-        return SingleTable(position_mm, self.at(position_mm))
-
 
 @dataclass(frozen=True, eq=False)
 class DirectionalTable:

@@ -18,7 +18,6 @@ import scipy
 from numpy.typing import NDArray
 
 from drivers.errors import InputError
-from hil.correction.published_rise import TwoTanh
 from hil.correction.rise import SHAPES, Rise, Shape
 from hil.figures.error_figures import rms
 from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, standard_uncertainties
@@ -113,13 +112,6 @@ class Fitted:
         mm.
         """
         return np.asarray(self.rise.along_um(travel_mm) + self.table_um_per_mm * travel_mm, dtype=np.float64)
-
-    @property
-    def form(self) -> TwoTanh:
-        """Parameters Pc1, Pc2, a1, a2, b2 of the published form. Raises InputError for a shape that is not of tanh
-        terms.
-        """
-        return self.rise.form
 
 
 @dataclass(frozen=True)

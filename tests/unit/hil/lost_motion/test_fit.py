@@ -51,7 +51,7 @@ def measured(rise_um: Callable[[Floats], Floats], direction: int, seed: int, slo
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_five_parameters_come_back(direction: int) -> None:
     fitted = fit(TWO_TANH, [measured(two_tanh_um, direction, seed) for seed in (1, 2)])
-    form = fitted.form
+    form = fitted.rise.form
     assert form.amount_1_um == pytest.approx(8.0, abs=0.1)
     assert form.amount_2_um == pytest.approx(4.0, abs=0.1)
     assert form.rise_1_mm == pytest.approx(0.6, abs=0.03)
@@ -84,10 +84,10 @@ def test_a_held_out_stroke_is_not_seen() -> None:
 def test_with_a_table_in_force_no_slope_is_looked_for() -> None:
     level = fit(TWO_TANH, [measured(two_tanh_um, 1, 1, slope=0.0)], table=False)
     assert level.table_um_per_mm == 0.0
-    assert level.form.amount_um == pytest.approx(12.0, abs=0.05)
+    assert level.rise.form.amount_um == pytest.approx(12.0, abs=0.05)
     tilted = [measured(two_tanh_um, 1, 1, slope=0.1)]
-    assert fit(TWO_TANH, tilted, table=False).form.amount_um > 12.4  # what the slope is there to keep out
-    assert fit(TWO_TANH, tilted).form.amount_um == pytest.approx(12.0, abs=0.15)
+    assert fit(TWO_TANH, tilted, table=False).rise.form.amount_um > 12.4  # what the slope is there to keep out
+    assert fit(TWO_TANH, tilted).rise.form.amount_um == pytest.approx(12.0, abs=0.15)
 
 
 def test_after_a_short_stroke_only_rows_within_it_count() -> None:
