@@ -1,4 +1,4 @@
-"""A simulated CiA 402 drive on a CAN bus, served by a thread in real time, for tests of scripts."""
+"""The folder of a simulated axis, and a simulated CiA 402 drive on a CAN bus, served by a thread in real time, for tests."""
 
 from __future__ import annotations
 
@@ -16,20 +16,46 @@ import pytest
 
 from drivers.clock import NS_PER_S, WallClock
 from drivers.errors import StateError
+from drivers.files import replace_file
+from hil.correction.sealed import Cost, new_key, save_private_key, save_public_key
+from hil.machine.simulated_file import axis_text, instrument_text
 from hil.script.open_axis import OpenAxis
-from hil.testing.files import lay_out, machine_parameters
-from sim_backends.bench import Bench
+from sim_backends.bench import Bench, BenchParameters, known_bench
 from sim_backends.canopen_faults import CanFault
 from sim_backends.fault_text import Faults, parse_faults
 from sim_backends.faults import CanFaultKind, Fault
 from sim_backends.machine import CanDrive, open_bus
 from sim_backends.serve import Pace, run_in_real_time
 
+PASSWORDS = {"HIL_PASSWORD": "tables of a simulated axis", "HIL_KEY_PASSWORD": "builder of a simulated axis"}
+MACHINE = "typical"
+QUICK = Cost(n=1 << 10, r=8, p=1)
+SHORT = "dwell_s = 0.1\nreading_s = 0.1\n"
+"""At the end of [measurement]."""
 NODE = 1
 ENDING_S = 10.0
 """Time limit for the thread to end, s."""
 
 Timed = TypeVar("Timed", Fault, CanFault)
+
+
+def machine_parameters() -> BenchParameters:
+    """The machine of the fixtures."""
+    return known_bench(MACHINE, 0)
+
+
+def lay_out(folder: Path, monkeypatch: pytest.MonkeyPatch, drive: dict[str, Any] | None = None, port: str = "") -> Path:
+    """Write X.toml, builder.key and builder.pub, and set the passwords; the axis file. drive: keys of [drive], None: of the bench;
+    port: of its laser."""
+    for name, value in PASSWORDS.items():
+        monkeypatch.setenv(name, value)
+    key = new_key()
+    save_private_key(folder / "builder.key", key, PASSWORDS["HIL_KEY_PASSWORD"], cost=QUICK)
+    save_public_key(folder / "builder.pub", key.public_key())
+    place = drive or {"backend": "bench", "machine": MACHINE, "seed": 0, "face": "canopen"}
+    path = folder / "X.toml"
+    replace_file(path, (axis_text(machine_parameters(), place, instrument_text("umd", port)) + SHORT).encode())
+    return path
 
 
 def add_to_bench(bench: Bench, found: Faults) -> None:

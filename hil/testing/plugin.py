@@ -34,7 +34,7 @@ def simulated_axis(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     Time is simulated: it passes while the axis moves, is watched or read, as fast as the processor allows.
     """
     from hil.script.open_axis import open_axis  # noqa: PLC0415  (loads slowly)
-    from hil.testing.files import lay_out  # noqa: PLC0415
+    from hil.testing.drive import lay_out  # noqa: PLC0415
 
     with open_axis(lay_out(tmp_path, monkeypatch)) as axis:
         yield axis
