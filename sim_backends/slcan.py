@@ -38,7 +38,6 @@ class SlcanDevice(can.BusABC):
         self._unsent = b""
         self._open = False
         self._listen_only = False
-        self.lost_frames = 0
         super().__init__(self.path)
         self.channel_info = self.path
 
@@ -100,7 +99,6 @@ class SlcanDevice(can.BusABC):
     # -- to the host ---------------------------------------------------------------------------------------------------
     def _answer(self, text: bytes) -> None:
         if len(self._unsent) + len(text) > _ROOM_BYTES:
-            self.lost_frames += 1
             return
         self._unsent += text
         try:
@@ -113,7 +111,6 @@ class SlcanDevice(can.BusABC):
         """Send a frame to the host, if its channel is open."""
         del timeout
         if not self._open:
-            self.lost_frames += 1
             return
         kind = ("R" if msg.is_extended_id else "r") if msg.is_remote_frame else ("T" if msg.is_extended_id else "t")
         identifier = f"{msg.arbitration_id:0{_IDENTIFIER_DIGITS[kind]}X}"

@@ -74,11 +74,8 @@ class CanLink:
         self.bitrate = bitrate
         self.place = place_of(bus)  # in errors
         self._channel: str | int = self.place
-        self.error_frames = 0
         self.takes_frames = True  # the last one that was sent
-        self.damaged = 0  # pieces of the adapter that were no frame, and left out
         self._failed = 0  # reads that failed since the last frame or silence
-        self.frames_received = 0
         self._handlers: dict[int, tuple[FrameHandler, ...]] = {}
         self._selectable = _selectable(bus)
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
@@ -292,7 +289,7 @@ class CanLink:
             return False
 
     def _receive(self, timeout_s: float) -> bool:
-        """Take and dispatch one frame; False when none came in time. A piece that is no frame is counted and left out. Raises
+        """Take and dispatch one frame; False when none came in time. A piece that is no frame is left out. Raises
         LinkLostError."""
         try:
             message = self.bus.recv(timeout_s)
@@ -304,13 +301,10 @@ class CanLink:
             return False
         now_ns = self._taken_ns = self.clock.now_ns()
         if message.is_error_frame or message.is_remote_frame or message.is_extended_id or message.is_fd:
-            self.error_frames += message.is_error_frame
             return True
         # cut short, too long, or with an identifier of more bits
         if len(message.data) != message.dlc or message.dlc > 8 or message.arbitration_id > 0x7FF:
-            self.damaged += 1
             return True
-        self.frames_received += 1
         cob_id, data = message.arbitration_id, bytes(message.data)
         for watcher in self._any:
             watcher(now_ns, cob_id, data)
@@ -326,7 +320,6 @@ class CanLink:
             raise self._lost("is gone", error) from error
         if self._failed >= MOST_FAILED:
             raise self._lost(f"is gone: {self._failed} reads in a row failed", error) from error
-        self.damaged += 1
         try:
             drop_undecoded(self.bus)
         except READ_ERRORS as second:

@@ -59,10 +59,7 @@ class Emergency:
 
 
 class NodeMonitor:
-    """Listens to heartbeat, boot-up and EMCY of a node.
-
-    The log keeps the last emergencies; `emergencies_seen` counts all.
-    """
+    """Listens to heartbeat, boot-up and EMCY of a node. The log keeps the last emergencies."""
 
     def __init__(self, link: CanLink, node_id: int, name: str) -> None:
         self.link = link
@@ -70,7 +67,6 @@ class NodeMonitor:
         self.name = name
         self.state: NmtState | None = None
         self.log: deque[Emergency] = deque(maxlen=LOG_LENGTH)
-        self.emergencies_seen = 0
         self.boot_ups = 0
         self.heartbeats = 0
         self._heard_ns: int | None = None
@@ -139,7 +135,6 @@ class NodeMonitor:
     def _on_emergency(self, time_ns: int, data: bytes) -> None:
         if len(data) != 8:
             return
-        self.emergencies_seen += 1
         self.log.append(Emergency(time_ns, int.from_bytes(data[:2], "little"), data[2], data[3:]))
 
 

@@ -69,7 +69,6 @@ class SdoCounters:
     """Events on one channel since it was opened."""
 
     transfers: int = 0
-    aborts: int = 0
     timeouts: int = 0
     stale_frames: int = 0  # answers that were not, or no longer, requested
     writes_confirmed_late: int = 0  # by an answer that came after the time-out
@@ -481,8 +480,6 @@ class SdoClient:
         if running is None:
             return
         self.counters.stale_frames += running.talk.skipped
-        if isinstance(running.error, AbortError):
-            self.counters.aborts += 1
         self._silent = not running.finished
         if self._silent and self.way_out is not None:
             self.way_out.unanswered((running.until_ns - running.began_ns) / NS_PER_S)

@@ -40,8 +40,6 @@ class Gauge(DistanceInstrument):
         self._asked_ns: int | None = None
         self._quiet = False  # whether bytes left over on the line have been discarded
         self.bad_lines = 0
-        self.last_bad_line: BadLine | None = None
-        self.last_fault = ""
 
     def open(self) -> None:
         self._link.open()
@@ -91,7 +89,6 @@ class Gauge(DistanceInstrument):
         for event in self._protocol.feed(data) if data else ():
             if isinstance(event, BadLine):
                 self.bad_lines += 1
-                self.last_bad_line = event
             else:
                 readings.append(self._reading(event, now_ns, since_ns))
         return readings
@@ -99,7 +96,6 @@ class Gauge(DistanceInstrument):
     def _reading(self, event: Value | Fault, now_ns: int, since_ns: int) -> Reading:
         self._sequence += 1
         if isinstance(event, Fault):
-            self.last_fault = event.reason
             self._latched = True
         if self._latched or isinstance(event, Fault):
             status = ReadingStatus.HEAD_ERROR if isinstance(event, Fault) else ReadingStatus.LOST_BEFORE

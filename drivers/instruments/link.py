@@ -42,7 +42,6 @@ class PatientLink:
         self._clock = clock
         self._lost: LinkLostError | None = None
         self._retry_ns = 0
-        self.reconnections = 0
 
     def open(self) -> None:
         self._link.open()
@@ -84,4 +83,3 @@ class PatientLink:
         except LinkLostError:
             raise lost from None
         self._lost = None
-        self.reconnections += 1

@@ -129,7 +129,6 @@ class UmdLaser(DistanceInstrument):
         self._index_at_zero: float | None = None
         self._dead_path_shift_mm = 0.0
         self.bad_lines = 0
-        self.last_bad_line: BadLine | None = None
         self._update_unit()
 
     def open(self) -> None:
@@ -161,7 +160,6 @@ class UmdLaser(DistanceInstrument):
         for event in self._decoder.feed(data):
             if isinstance(event, BadLine):
                 self.bad_lines += 1
-                self.last_bad_line = event
             else:
                 reading = self._reading(event, now_ns, since_ns)
                 if reading is not None:

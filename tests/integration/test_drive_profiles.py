@@ -312,7 +312,7 @@ def test_emergencies_between_question_and_answer_do_not_matter(tmp_path: Path) -
     trial = _with(tmp_path, "sdo_emergency = 1")
     row = trial.run()
     assert row.works, row
-    assert trial.drive.monitor.emergencies_seen > 100
+    assert len(trial.drive.monitor.log) > 100
 
 
 # -- where profiles are named --------------------------------------------------------------------------------------------------

@@ -103,7 +103,6 @@ def test_a_host_that_does_not_read_loses_whole_lines_and_blocks_nobody(device: S
     said(port)
     for number in range(8000):
         device.send(can.Message(arbitration_id=0x181, data=number.to_bytes(4, "big"), is_extended_id=False))
-    assert device.lost_frames > 0
     text = b""
     while b"t181" in (data := said(port)):
         text += data

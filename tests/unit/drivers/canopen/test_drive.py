@@ -777,12 +777,11 @@ def test_emergencies_are_logged_with_their_meaning(make: MakeRig) -> None:
     ]
 
 
-def test_the_log_of_a_burst_is_bounded_and_counted(make: MakeRig) -> None:
+def test_the_log_of_a_burst_is_bounded(make: MakeRig) -> None:
     rig = make(CanFault(K.EMCY_BURST, at_s=0.5, size=1000))
     drive = rig.opened()
     rig.run(0.6)
     assert drive.sample().state is DriveState.SWITCH_ON_DISABLED
-    assert drive.monitor.emergencies_seen == 1000
     assert len(drive.monitor.log) == 256
 
 

@@ -126,7 +126,6 @@ def test_a_fault_takes_the_zero_with_it_until_someone_says_so(wire: Wire, clock:
     gauge.open()
     wire.waiting = b"\n1.0\nERROR\n1.0\n"
     assert [reading.status.name for reading in gauge.poll()] == ["GOOD", "HEAD_ERROR", "LOST_BEFORE"]
-    assert "ERROR" in gauge.last_fault
     assert gauge.acknowledge_loss()
     assert not gauge.acknowledge_loss()
     wire.waiting = b"1.0\n"
@@ -146,7 +145,7 @@ def test_a_port_that_comes_back_is_found_and_its_zero_is_not_believed(wire: Wire
         clock.sleep_s(RETRY_S)
     wire.plugged, wire.waiting = True, b"5\n3.0\n"
     assert [reading.status for reading in gauge.poll()] == [ReadingStatus.LOST_BEFORE]
-    assert (link.reconnections, wire.opened) == (1, 2)
+    assert wire.opened == 2
     gauge.acknowledge_loss()
     wire.waiting = b"3.0\n"
     assert gauge.poll()[0].position_mm == 3.0
