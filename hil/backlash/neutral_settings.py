@@ -7,7 +7,7 @@ the first change, so that they can be restored even after the process was killed
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +15,8 @@ from typing import Any, Protocol
 
 from drivers.errors import BridgeError, SafetyError
 from drivers.files import replace_file
+from hil.desk.job import Tell
 from hil.records.files import read_note
-
-Tell = Callable[[str], None]
 
 
 class Setting(Protocol):

@@ -17,11 +17,12 @@ import numpy as np
 from drivers.drive import Capability, DriveSample, ServoDrive
 from drivers.errors import CapabilityError, LimitError, ProtocolError
 from hil.axis.backlash import SLIDE_MM, SLIDES, BacklashConfig
-from hil.backlash.neutral_settings import BacklashSettings, Tell, neutral
+from hil.backlash.neutral_settings import BacklashSettings, neutral
 from hil.backlash.result import NAMES, Reversal, TorqueBacklash
 from hil.backlash.settings import NoSetting
 from hil.backlash.torque_fit import fit_wind_up
 from hil.backlash.trace import ReversalTrace, crept_trace
+from hil.desk.job import Tell
 from hil.machine.events import Event, Listener, Measured, Point, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.supervisor import Supervisor

@@ -12,7 +12,7 @@ from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
 from hil.calibration.job import CALIBRATE, ENTER, MANUAL, STRAIGHTNESS, UNCORRECTED, VERIFY, WITHDRAW, with_signs
 from hil.calibration.page_data import CalibrationScreen, Resumable, calibration_screen
-from hil.calibration.pages.result import draw_accuracy, draw_band, draw_curves, draw_figures
+from hil.calibration.pages.result import Kept, draw_accuracy, draw_band, draw_curves, draw_figures
 from hil.calibration.pages.typed_tables import TypedTables, across_axis, across_of, asking
 from hil.desk.progress import Progress
 from hil.figures.verdict import Decision
@@ -25,7 +25,6 @@ from hil.ui.screen.zero_switches import ZeroSwitches
 
 NEXT = ("reports", "diagnosis")
 """Pages that follow a verification: one that passed, or one that failed."""
-Kept = Reading[CalibrationScreen]
 KINDS = (CALIBRATE, VERIFY, UNCORRECTED)
 SHOWN_KINDS = (*KINDS, STRAIGHTNESS, MANUAL, ENTER, WITHDRAW)
 """Colour of each stage's curves."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,12 +20,12 @@ from drivers.drive import WITHOUT_POWER, ServoDrive
 from drivers.errors import BridgeError, CapabilityError, InputError, ProtocolError, SafetyError, StateError
 from drivers.files import read_text, replace_file
 from hil.axis.axis_file import DriveAxis
+from hil.desk.job import Tell
 from hil.machine.one_correction import switch_table
 from hil.records.files import parse_json, read_note
 from hil.records.made_with import MadeWith
 from hil.records.zero import Zero
 
-Tell = Callable[[str], None]
 _TRIES = 3  # attempts to restore
 _WRITES = 2  # of a change: the new table, and the old one where the new cannot stay
 

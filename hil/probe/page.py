@@ -31,15 +31,13 @@ from hil.probe.page_data import (
     std_um,
     worst_closure_um,
 )
-from hil.probe.pages.correct import ProbePage, draw_corrections
+from hil.probe.pages.correct import Kept, ProbePage, draw_corrections
 from hil.probe.runout import RunOut
 from hil.records.rows import UM_PER_MM
 from hil.ui.screen.drawings import Curve, Drawing, Options, angle_axis, curves
 from hil.ui.screen.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
 from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
 from hil.ui.screen.view import Refresh, View
-
-Kept = Reading[ProbeRecord]
 
 
 def draw(view: View, machine: ProbeMachineConfig | None) -> None:
