@@ -56,7 +56,6 @@ class Sampler:
         self.values: dict[Entry, int] = {}
         self.heard_ns = 0
         self.asked_ns = 0  # before the values were taken
-        self.missed = 0  # SYNCs that were not answered in time
         self.tpdos_in_stream = False  # a stream has them; see `StoppableNode.begin_streaming`
         self.without_pdos = False  # the drive takes no TPDO of status and position: every sample is read by SDO
         self.node_id = node.node_id
@@ -212,10 +211,7 @@ class Sampler:
         answered = self._link.wait(self._complete, self._timeout_s)
         if self._short_tpdo is not None:
             raise self._short_tpdo
-        if answered:
-            return True
-        self.missed += 1
-        return False
+        return answered
 
     def _settled(self) -> bool:
         """As `settle`; a drive whose TPDOs cannot be switched off answers every SYNC."""

@@ -70,7 +70,6 @@ class SdoCounters:
 
     transfers: int = 0
     timeouts: int = 0
-    stale_frames: int = 0  # answers that were not, or no longer, requested
     writes_confirmed_late: int = 0  # by an answer that came after the time-out
     writes_read_back: int = 0  # by comparing the object after a time-out
 
@@ -479,7 +478,6 @@ class SdoClient:
         self._running = None
         if running is None:
             return
-        self.counters.stale_frames += running.talk.skipped
         self._silent = not running.finished
         if self._silent and self.way_out is not None:
             self.way_out.unanswered((running.until_ns - running.began_ns) / NS_PER_S)
@@ -496,8 +494,6 @@ class SdoClient:
             self._late_ns.append(time_ns)
         if self._late is not None:
             self._late(data)
-        else:
-            self.counters.stale_frames += 1
 
 
 def wait_for_any(link: CanLink, waiting: Sequence[Awaited]) -> None:

@@ -2,7 +2,7 @@
 
 Expedited, segmented and block transfer, client side (CiA-301, 7.2.4). A transfer yields the frames to send next and is resumed with
 the next frame of the server; it returns the object's bytes (upload) or None (download). A frame that answers another index
-is no answer: it is skipped and counted, and the transfer waits on.
+is no answer: it is skipped, and the transfer waits on.
 Every transfer ends after a number of the server's frames that its size bounds; frames without data are bounded by time, which
 the caller keeps (`longest_s`).
 """
@@ -89,7 +89,6 @@ class Conversation:
         self.mux = multiplexer(index, subindex)
         self.steps = 0
         self.carried = 0
-        self.skipped = 0
         self.instead = ""  # what came last instead of an answer, and the remedy
         self._awaited: tuple[int, ...] = ()
         self._by_blocks = False
@@ -109,8 +108,7 @@ class Conversation:
             raise AbortError(f"{self.place()} refused: {abort_text(code)}", code)
 
     def skip(self, frame: bytes) -> None:
-        """Account for a frame that is no answer, and keep what it was: where none comes, that is the error."""
-        self.skipped += 1
+        """Keep what a frame that is no answer was: where none comes, that is the error."""
         if len(frame) != 8:
             self.instead = (
                 f"was answered with a frame of {len(frame)} bytes, expected 8 (CiA 301): it takes another firmware, or a gateway"

@@ -150,7 +150,6 @@ def test_a_late_answer_never_confirms_the_next_write(late_s: float) -> None:
 def test_an_answer_with_a_foreign_index_is_ignored() -> None:
     desk = _desk(CanFault(CanFaultKind.SDO_WRONG_INDEX, count=1))
     assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
-    assert desk.sdo.counters.stale_frames >= 1
     desk.close()
 
 
