@@ -56,7 +56,7 @@ class Directions(Enum):
 
 
 @dataclass(frozen=True)
-class Quantity:
+class RawFormat:
     """The number format of positions or values: raw · scale is the value in `unit`; raw lies within low…high."""
 
     unit: str
@@ -93,10 +93,10 @@ class TableDescription:
     outside: Outside
     directions: Directions
     sign: int
-    position: Quantity
-    value: Quantity
-    step: Quantity | None = None
-    backlash: Quantity | None = None
+    position: RawFormat
+    value: RawFormat
+    step: RawFormat | None = None
+    backlash: RawFormat | None = None
     wears: bool = False
     shows_applied: bool = False
 
@@ -117,7 +117,7 @@ class TableDescription:
             raise InputError(f"{self.name}: positions do not ascend")
         if self.nodes is Nodes.EQUIDISTANT and count > 1 and table.step <= 0:
             raise InputError(f"{self.name}: the step is {table.step}, expected more than 0")
-        held: list[tuple[str, Quantity | None, tuple[int, ...]]] = [
+        held: list[tuple[str, RawFormat | None, tuple[int, ...]]] = [
             ("position", self.position, table.position if self.nodes is Nodes.EXPLICIT else (table.origin,)),
             ("plus", self.value, table.plus),
             ("minus", self.value, table.minus),

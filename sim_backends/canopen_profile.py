@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from drivers.cia402.state_machine import (
     QUICK_STOP_ENDINGS,
     Command,
-    Event,
     Ramp,
+    TransitionCause,
     decode_command,
     is_fault_reset,
     next_state,
@@ -208,12 +208,12 @@ class DriveProfile:
         if self.state is DriveState.FAULT_REACTION:
             if self._still:
                 self._servo.power_off()
-                self._go(Event.AUTOMATIC)
+                self._go(TransitionCause.AUTOMATIC)
         elif self.state is DriveState.QUICK_STOP:
             ending = QUICK_STOP_ENDINGS[self._od.number(0x605A)]
             if self._still and not ending.stays:
                 self._servo.power_off()
-                self._go(Event.AUTOMATIC)
+                self._go(TransitionCause.AUTOMATIC)
         elif self._enabling_since_ns is not None:
             self._finish_enabling()
         elif self.state is DriveState.ENABLED and self._buffered is not None and self._servo.target_reached:
@@ -235,7 +235,7 @@ class DriveProfile:
         if fault and fault != self._known_fault:
             self._known_fault = fault
             self._enabling_since_ns = None
-            self._go(Event.FAULT)
+            self._go(TransitionCause.FAULT)
             self._forget_motion()
             self._react_to_fault()
             self._emergency(fault)
@@ -269,7 +269,7 @@ class DriveProfile:
             self._servo.reset_fault()
             if not self._servo.fault_code:
                 self._known_fault = 0
-                self._go(Event.FAULT_RESET)
+                self._go(TransitionCause.FAULT_RESET)
                 self._emergency(0)
         command = decode_command(word)
         if command is not None:
@@ -327,7 +327,7 @@ class DriveProfile:
         ramp = QUICK_STOP_ENDINGS[self._od.number(0x605A)].ramp
         if ramp is Ramp.NONE:
             self._servo.power_off()
-            self._go(Event.AUTOMATIC)
+            self._go(TransitionCause.AUTOMATIC)
             return
         self._still = False
         self._servo.quick_stop(self._od.number(0x6084 if ramp is Ramp.SLOW_DOWN else 0x6085))
@@ -344,7 +344,7 @@ class DriveProfile:
         else:
             self._obey(Command.DISABLE_VOLTAGE if option == 2 else Command.QUICK_STOP)
 
-    def _go(self, cause: Command | Event) -> None:
+    def _go(self, cause: Command | TransitionCause) -> None:
         step = next_state(self.state, cause)
         if step is not None:
             self.state = step[1]

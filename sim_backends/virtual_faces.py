@@ -12,7 +12,7 @@ from drivers.correction_table import (
     Interpolation,
     Nodes,
     Outside,
-    Quantity,
+    RawFormat,
     RawTable,
     TableDescription,
 )
@@ -181,7 +181,7 @@ class VirtualCorrectionTable(CorrectionTable):
         self._powered = powered
         self._raw = RawTable()
         self.own = OwnTable(form)
-        places = Quantity("counts", form.place_counts, *_I32)
+        places = RawFormat("counts", form.place_counts, *_I32)
         self.description = TableDescription(
             name="error table" if form.negated else "pitch table",
             points=form.points,
@@ -191,9 +191,9 @@ class VirtualCorrectionTable(CorrectionTable):
             directions=Directions.BOTH if form.curves == 2 else Directions.BACKLASH,
             sign=-1 if form.negated else 1,
             position=places,
-            value=Quantity("counts", form.value_counts, *_I16),
-            step=Quantity("counts", form.place_counts, *_U32),
-            backlash=Quantity("counts", form.value_counts, *_I16),
+            value=RawFormat("counts", form.value_counts, *_I16),
+            step=RawFormat("counts", form.place_counts, *_U32),
+            backlash=RawFormat("counts", form.value_counts, *_I16),
             shows_applied=True,
         )
 

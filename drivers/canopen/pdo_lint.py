@@ -41,7 +41,7 @@ class Severity(Enum):
 
 
 @dataclass(frozen=True)
-class Finding:
+class PdoProblem:
     """One problem, in words that name the PDO and the object."""
 
     severity: Severity
@@ -96,9 +96,9 @@ def lint(
     *,
     dictionaries: Mapping[int, Dictionary] | None = None,
     cycle: Cycle | None = None,
-) -> list[Finding]:
+) -> list[PdoProblem]:
     """All findings for the PDOs of all nodes of a bus, errors first. dictionaries: by node id, where known."""
-    findings: list[Finding] = []
+    findings: list[PdoProblem] = []
     for node_id, specs in nodes.items():
         known = (dictionaries or {}).get(node_id)
         findings += _node(node_id, specs)
@@ -110,7 +110,7 @@ def lint(
     return sorted(findings, key=lambda finding: finding.severity is not Severity.ERROR)
 
 
-def refuse_errors(findings: Iterable[Finding]) -> None:
+def refuse_errors(findings: Iterable[PdoProblem]) -> None:
     """Raise InputError with the first error, and how many more there are."""
     errors = [finding for finding in findings if finding.severity is Severity.ERROR]
     if errors:
@@ -118,15 +118,15 @@ def refuse_errors(findings: Iterable[Finding]) -> None:
         raise InputError(f"PDO mapping: {errors[0].text}{more}")
 
 
-def _error(code: str, text: str) -> Finding:
-    return Finding(Severity.ERROR, code, text)
+def _error(code: str, text: str) -> PdoProblem:
+    return PdoProblem(Severity.ERROR, code, text)
 
 
-def _warning(code: str, text: str) -> Finding:
-    return Finding(Severity.WARNING, code, text)
+def _warning(code: str, text: str) -> PdoProblem:
+    return PdoProblem(Severity.WARNING, code, text)
 
 
-def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[Finding]:
+def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[PdoProblem]:
     """Findings on a node's PDOs together."""
     findings = []
     received = [(spec, entry) for spec in specs if not (spec.transmit or spec.only_stops) for entry in spec.entries]
@@ -179,7 +179,7 @@ def _node(node_id: int, specs: Sequence[PdoSpec]) -> list[Finding]:
     return findings
 
 
-def _pdo(node_id: int, spec: PdoSpec, known: Dictionary | None) -> list[Finding]:
+def _pdo(node_id: int, spec: PdoSpec, known: Dictionary | None) -> list[PdoProblem]:
     findings = []
     if not spec.entries:
         findings.append(_warning("empty", f"node {node_id}: {spec} maps nothing"))
@@ -223,7 +223,7 @@ def _mapping_problems(entry: Entry, transmit: bool, known: Dictionary) -> list[s
     return [problem for fails, problem in checks if fails(described)]
 
 
-def _clashes(nodes: Mapping[int, Sequence[PdoSpec]]) -> list[Finding]:
+def _clashes(nodes: Mapping[int, Sequence[PdoSpec]]) -> list[PdoProblem]:
     """Findings on COB-IDs with more than one sender."""
     findings = []
     senders: dict[int, tuple[str, bool]] = {}
@@ -241,7 +241,7 @@ def _clashes(nodes: Mapping[int, Sequence[PdoSpec]]) -> list[Finding]:
     return findings
 
 
-def _fits(nodes: Mapping[int, Sequence[PdoSpec]], cycle: Cycle) -> list[Finding]:
+def _fits(nodes: Mapping[int, Sequence[PdoSpec]], cycle: Cycle) -> list[PdoProblem]:
     load = predict(nodes, cycle)
     what = f"SYNC and PDOs need {load.shortest_period_us:.0f} µs at worst of a cycle of {cycle.period_us:g} µs"
     if load.share > 1.0:

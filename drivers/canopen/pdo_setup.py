@@ -18,7 +18,7 @@ from drivers.canopen.pdo import (
     Pdo,
     PdoSpec,
 )
-from drivers.canopen.pdo_lint import Dictionary, Finding, lint, refuse_errors
+from drivers.canopen.pdo_lint import Dictionary, PdoProblem, lint, refuse_errors
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.whole_pdo import KEPT, PdoImage, read_otherwise, read_pdo, wanted_image, write_pdo
 from drivers.cia402.objects import DataType, Entry
@@ -106,7 +106,7 @@ class PdoSetup:
         own_id = image.numbers[False, COB_ID] & ID_MASK in {spec.cob_id for spec in self.wanted}
         return own_id or (not image.pdo.transmit and not commanded.isdisjoint(image.mapped or ()))
 
-    def lint(self, dictionary: Dictionary | None = None) -> list[Finding]:
+    def lint(self, dictionary: Dictionary | None = None) -> list[PdoProblem]:
         """Findings on the wanted PDOs together with those that remain."""
         replaced = {spec.pdo for spec in self.wanted} | {image.pdo for image in self.in_the_way()}
         staying = []
@@ -123,7 +123,7 @@ class PdoSetup:
         *,
         refuse: bool = True,
         interrupted: Callable[[], None] = lambda: None,
-    ) -> list[Finding]:
+    ) -> list[PdoProblem]:
         """Survey, lint, then write and verify; returns the warnings. interrupted: called on an interrupt, before anything is restored.
         refuse: whether an error that the linter finds ends it.
 

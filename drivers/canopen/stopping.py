@@ -20,7 +20,7 @@ from drivers.canopen.pdo import SYNC_EVERY, PdoSpec
 from drivers.canopen.sampling import Sampler
 from drivers.canopen.sdo import SdoClient
 from drivers.canopen.settings import CanOpenSettings
-from drivers.canopen.stream_axis import Axis
+from drivers.canopen.stream_axis import StreamAxis
 from drivers.canopen.sync import SYNC
 from drivers.canopen.table_map import TableMap
 from drivers.cia402 import objects
@@ -62,7 +62,7 @@ class StoppableNode(Cia402Drive):
         self.node = Node(name, link, node_id, eds, table)
         self.link = link
         self.node_id = node_id
-        self._stream_axis: Axis | None = None
+        self._stream_axis: StreamAxis | None = None
         self.rpdo = PdoSpec(1, False, 0x200 + node_id, SYNC_EVERY, (objects.CONTROLWORD, objects.TARGET_POSITION))
 
     # -- streaming -------------------------------------------------------------------------------------------------------
@@ -71,7 +71,7 @@ class StoppableNode(Cia402Drive):
         """Whether a `stream.CyclicStream` paces this drive; its samples are read by SDO meanwhile, as SYNC belongs to the stream."""
         return self.sampler.tpdos_in_stream
 
-    def begin_streaming(self, axis: Axis) -> None:
+    def begin_streaming(self, axis: StreamAxis) -> None:
         """A stream takes SYNC and the PDOs; it restores the PDOs before `end_streaming`. Raises StateError while another one does."""
         self._require_open()
         if self.is_streaming:

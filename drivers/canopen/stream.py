@@ -22,7 +22,7 @@ from drivers.canopen.pdo import SYNC_EVERY
 from drivers.canopen.pdo_lint import Cycle, lint, refuse_errors
 from drivers.canopen.side_by_side import CanLine
 from drivers.canopen.stopping import StoppableNode
-from drivers.canopen.stream_axis import RUNNING, RUNNING_MASK, Axis
+from drivers.canopen.stream_axis import RUNNING, RUNNING_MASK, StreamAxis
 from drivers.canopen.sync import SYNC, SyncFollower
 from drivers.cia402 import objects
 from drivers.cia402.modes import Mode
@@ -79,7 +79,7 @@ class CyclicStream(SetPointStream):
         self.clock = self.link.clock
         self._drives = tuple(nodes)
         self._axes = [
-            Axis(
+            StreamAxis(
                 drive.node,
                 drive.power,
                 drive.scaling,
@@ -139,7 +139,7 @@ class CyclicStream(SetPointStream):
         if staying:
             self._check_fit(*staying)
 
-    def _prepare(self, drive: StoppableNode, axis: Axis) -> None:
+    def _prepare(self, drive: StoppableNode, axis: StreamAxis) -> None:
         """Axis enabled and held, PDOs for the stream, then the mode; target := actual before the mode takes effect.
 
         Raises StateError, CapabilityError, ProtocolError."""
@@ -221,7 +221,7 @@ class CyclicStream(SetPointStream):
             self.reached_ns = max(self.reached_ns, clock.now_ns()) + self._period_ns
         held.callback(talking.release)
 
-    def _give_back(self, drive: StoppableNode, axis: Axis) -> None:
+    def _give_back(self, drive: StoppableNode, axis: StreamAxis) -> None:
         """Restore the PDOs, and profile position unless it was stopped; an axis that cannot be restored is disabled."""
         self.link.unsubscribe(axis.tpdo.cob_id, axis.receive)
         axis.taken = False
@@ -345,13 +345,13 @@ class CyclicStream(SetPointStream):
                     f" {1e3 * self.settings.period_s:g} ms"
                 )
 
-    def _judge_status(self, axis: Axis) -> None:
+    def _judge_status(self, axis: StreamAxis) -> None:
         """Raise the error of a statusword other than "enabled and following"; the first cycle may not follow yet."""
         if self.cycles > 1 or decode_state(axis.status) is not DriveState.ENABLED:
             raise axis.explain_status()
 
 
-def _unwatch_sync(link: CanLink, axes: Sequence[Axis]) -> None:
+def _unwatch_sync(link: CanLink, axes: Sequence[StreamAxis]) -> None:
     """1006h as before, of all drives at once: SYNC has ended, and a drive that is told late goes into a fault (8700h)."""
     watching = [(axis, before) for axis in axes if (before := axis.sync_period_before) is not None]
     for axis, _ in watching:

@@ -30,7 +30,7 @@ RUNNING = 0x0027 | int(
 RUNNING_MASK = 0x006F | int(Status.FOLLOWS_COMMAND)
 
 
-class Axis:
+class StreamAxis:
     """One axis in the stream: its frames, its latest feedback, its limits in counts, precomputed for the cycle.
 
     mode: of this drive: interpolated position stands in for cyclic synchronous position. kind: the transmission type that its RPDO

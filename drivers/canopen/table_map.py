@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Annotated
 
 from drivers.cia402.objects import DataType, Entry
-from drivers.correction_table import COLUMNS, UNITS, Quantity, TableDescription, TableHead
+from drivers.correction_table import COLUMNS, UNITS, RawFormat, TableDescription, TableHead
 from drivers.errors import InputError
 from drivers.files import named_file, shipped
 from drivers.toml_schema import Document, either
@@ -167,13 +167,13 @@ class _Quantity:
     low: int | None = None
     high: int | None = None
 
-    def quantity(self, kind: DataType) -> Quantity:
+    def quantity(self, kind: DataType) -> RawFormat:
         """The quantity, in the range of a type or within the limits given. Raises SchemaError."""
         low, high = kind.range
         for key, value in (("low", self.low), ("high", self.high)):
             if value is not None and not low <= value <= high:
                 raise SchemaError(key, f"is {value}, expected a whole number {low} to {high}")
-        return Quantity(
+        return RawFormat(
             self.unit, self.scale, low if self.low is None else self.low, high if self.high is None else self.high
         )
 
@@ -224,6 +224,6 @@ def _places(table: _Table, objects: _Objects) -> _Places:
     return _Places(columns, domain, scalars, types)
 
 
-def _as(quantity: Quantity, entry: Entry | None) -> Quantity | None:
+def _as(quantity: RawFormat, entry: Entry | None) -> RawFormat | None:
     """The same unit, in the range of another object."""
-    return None if entry is None else Quantity(quantity.unit, quantity.scale, *entry.type.range)
+    return None if entry is None else RawFormat(quantity.unit, quantity.scale, *entry.type.range)

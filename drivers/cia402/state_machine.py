@@ -128,7 +128,7 @@ def is_fault_reset(previous_controlword: int, controlword: int) -> bool:
     return bool(controlword & ~previous_controlword & Control.FAULT_RESET)
 
 
-class Event(Enum):
+class TransitionCause(Enum):
     """Causes of a transition other than a command."""
 
     AUTOMATIC = "as soon as the state's work is done"
@@ -143,12 +143,12 @@ class Transition:
     number: int
     source: DriveState
     target: DriveState
-    causes: tuple[Command | Event, ...]
+    causes: tuple[Command | TransitionCause, ...]
 
 
 TRANSITIONS: tuple[Transition, ...] = (
-    Transition(0, START, DriveState.NOT_READY, (Event.AUTOMATIC,)),
-    Transition(1, DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, (Event.AUTOMATIC,)),
+    Transition(0, START, DriveState.NOT_READY, (TransitionCause.AUTOMATIC,)),
+    Transition(1, DriveState.NOT_READY, DriveState.SWITCH_ON_DISABLED, (TransitionCause.AUTOMATIC,)),
     Transition(2, DriveState.SWITCH_ON_DISABLED, DriveState.READY, (Command.SHUTDOWN,)),
     Transition(3, DriveState.READY, DriveState.SWITCHED_ON, (Command.SWITCH_ON, Command.ENABLE_OPERATION)),
     Transition(4, DriveState.SWITCHED_ON, DriveState.ENABLED, (Command.ENABLE_OPERATION,)),
@@ -161,20 +161,22 @@ TRANSITIONS: tuple[Transition, ...] = (
         10, DriveState.SWITCHED_ON, DriveState.SWITCH_ON_DISABLED, (Command.DISABLE_VOLTAGE, Command.QUICK_STOP)
     ),
     Transition(11, DriveState.ENABLED, DriveState.QUICK_STOP, (Command.QUICK_STOP,)),
-    Transition(12, DriveState.QUICK_STOP, DriveState.SWITCH_ON_DISABLED, (Command.DISABLE_VOLTAGE, Event.AUTOMATIC)),
-    Transition(14, DriveState.FAULT_REACTION, DriveState.FAULT, (Event.AUTOMATIC,)),
-    Transition(15, DriveState.FAULT, DriveState.SWITCH_ON_DISABLED, (Event.FAULT_RESET,)),
+    Transition(
+        12, DriveState.QUICK_STOP, DriveState.SWITCH_ON_DISABLED, (Command.DISABLE_VOLTAGE, TransitionCause.AUTOMATIC)
+    ),
+    Transition(14, DriveState.FAULT_REACTION, DriveState.FAULT, (TransitionCause.AUTOMATIC,)),
+    Transition(15, DriveState.FAULT, DriveState.SWITCH_ON_DISABLED, (TransitionCause.FAULT_RESET,)),
     Transition(16, DriveState.QUICK_STOP, DriveState.ENABLED, (Command.ENABLE_OPERATION,)),
 )
 FAULT_TRANSITION = 13  # from every state that is not already in the fault branch
 
 
-def next_state(state: DriveState, cause: Command | Event) -> tuple[int, DriveState] | None:
+def next_state(state: DriveState, cause: Command | TransitionCause) -> tuple[int, DriveState] | None:
     """(transition number, target state) of a cause in a state; None where the standard has no such transition.
 
     605Ah decides whether AUTOMATIC holds in quick stop (transition 12) and whether 16 is allowed, see `QUICK_STOP_ENDINGS`.
     """
-    if cause is Event.FAULT:
+    if cause is TransitionCause.FAULT:
         if state in (DriveState.FAULT, DriveState.FAULT_REACTION):
             return None
         return FAULT_TRANSITION, DriveState.FAULT_REACTION

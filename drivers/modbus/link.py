@@ -37,7 +37,7 @@ from drivers.errors import (
     TransportError,
 )
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint
-from drivers.modbus.plan import Span, Table, WireCost, silent_interval_s
+from drivers.modbus.plan import AddressSpace, Span, WireCost, silent_interval_s
 from drivers.modbus.wire import ACKNOWLEDGE, BUSY, NO_PATH, NO_TARGET, Function, PymodbusWire, Request, Wire
 from drivers.way_out import WayOut
 
@@ -194,7 +194,7 @@ class ModbusLink:
     def read(
         self,
         unit: int,
-        table: Table,
+        table: AddressSpace,
         span: Span,
         *,
         urgent: bool = False,
@@ -212,7 +212,7 @@ class ModbusLink:
     def write(
         self,
         unit: int,
-        table: Table,
+        table: AddressSpace,
         start: int,
         values: tuple[int, ...],
         *,
@@ -247,7 +247,7 @@ class ModbusLink:
         own = self.policy.read_retries if repeats is None else repeats
         return self._attempts(unit, request, own, urgent=urgent, blamed=repeats != 0)
 
-    def _write_resolved(self, unit: int, request: Request, table: Table) -> None:
+    def _write_resolved(self, unit: int, request: Request, table: AddressSpace) -> None:
         """Send it once. Busy (exception 6) is a refusal: nothing was carried out, and the standard has the client ask again."""
         try:
             self._attempts(unit, request, 0, urgent=True, blamed=False)
@@ -265,13 +265,13 @@ class ModbusLink:
                 f"{lost}; not carried out, and not sent again: reads {_listed(seen)}, expected {_listed(request.values)}"
             ) from lost
 
-    def _read_back(self, unit: int, request: Request, table: Table, error: BridgeError) -> tuple[int, ...]:
+    def _read_back(self, unit: int, request: Request, table: AddressSpace, error: BridgeError) -> tuple[int, ...]:
         try:
             return self._read(unit, Request.read(table, Span(request.address, request.count)), urgent=True)
         except BridgeError as second:
             raise NoAnswerError(f"{error}; in doubt, as reading it back failed: {second}") from second
 
-    def _await_carried_out(self, unit: int, request: Request, table: Table, error: AbortError) -> None:
+    def _await_carried_out(self, unit: int, request: Request, table: AddressSpace, error: AbortError) -> None:
         """Wait for a write that the unit has accepted and is still processing; it is not sent again."""
         deadline = self.clock.deadline(self._busy_s(unit))
         while True:

@@ -24,7 +24,7 @@ MAX_WRITE_BITS = 1968  # 6.11
 _BITS_PER_CHARACTER = 11
 
 
-class Table(Enum):
+class AddressSpace(Enum):
     """The four address spaces of Modbus."""
 
     COIL = "coil"
@@ -35,12 +35,12 @@ class Table(Enum):
     @property
     def is_bits(self) -> bool:
         """Whether it holds bits (coils, discrete inputs), not registers."""
-        return self in (Table.COIL, Table.DISCRETE)
+        return self in (AddressSpace.COIL, AddressSpace.DISCRETE)
 
     @property
     def is_writable(self) -> bool:
         """Whether it can be written (coils, holding registers)."""
-        return self in (Table.COIL, Table.HOLDING)
+        return self in (AddressSpace.COIL, AddressSpace.HOLDING)
 
 
 @dataclass(frozen=True, order=True)
@@ -89,11 +89,11 @@ class WireCost:
         """Seconds for one request and its reply, given the bytes of their PDUs."""
         return self.fixed_s + (self.header_bytes + request_pdu + reply_pdu) * self.per_byte_s
 
-    def read_s(self, table: Table, count: int) -> float:
+    def read_s(self, table: AddressSpace, count: int) -> float:
         """Seconds to read `count` registers or bits in one request."""
         return self.exchange_s(5, 2 + _data_bytes(table, count))
 
-    def write_s(self, table: Table, count: int) -> float:
+    def write_s(self, table: AddressSpace, count: int) -> float:
         """Seconds to write `count` registers or bits in one request (function 5 or 6 for one, 15 or 16 for more)."""
         if count == 1:
             return self.exchange_s(5, 5)
@@ -111,7 +111,7 @@ def silent_interval_s(baud: int) -> float:
 class ReadRequest:
     """One request on the wire."""
 
-    table: Table
+    table: AddressSpace
     span: Span
 
 
@@ -124,12 +124,12 @@ class ReadPlan:
 
 
 def plan_reads(
-    wanted: Iterable[tuple[Table, Span]],
+    wanted: Iterable[tuple[AddressSpace, Span]],
     cost: WireCost,
     *,
     gaps_readable: bool = True,
     apart: bool = False,
-    avoid: Iterable[tuple[Table, Span]] = (),
+    avoid: Iterable[tuple[AddressSpace, Span]] = (),
     max_registers: int = MAX_READ_REGISTERS,
 ) -> ReadPlan:
     """Group reads so that the wire is busy for the shortest time; ties go to fewer requests.
@@ -145,7 +145,7 @@ def plan_reads(
     if apart:
         requests = [ReadRequest(table, span) for table, span in dict.fromkeys(wanted)]
         return ReadPlan(tuple(requests), sum(cost.read_s(each.table, each.span.count) for each in requests))
-    per_table: dict[Table, set[Span]] = {}
+    per_table: dict[AddressSpace, set[Span]] = {}
     for table, span in wanted:
         per_table.setdefault(table, set()).add(span)
     requests = []
@@ -178,7 +178,9 @@ def _merge_overlapping(spans: Sequence[Span], limit: int) -> list[Span]:
     return blocks
 
 
-def _group(table: Table, blocks: Sequence[Span], cost: WireCost, joins: Sequence[bool], limit: int) -> list[Span]:
+def _group(
+    table: AddressSpace, blocks: Sequence[Span], cost: WireCost, joins: Sequence[bool], limit: int
+) -> list[Span]:
     """The cheapest way to split the ordered blocks into runs: best[i] covers the first i blocks.
 
     joins[i]: block i and the next may be read together.
@@ -207,7 +209,9 @@ def _group(table: Table, blocks: Sequence[Span], cost: WireCost, joins: Sequence
     return runs[::-1]
 
 
-def group_writes(writes: Sequence[tuple[Table, Span]], *, max_registers: int = MAX_WRITE_REGISTERS) -> list[list[int]]:
+def group_writes(
+    writes: Sequence[tuple[AddressSpace, Span]], *, max_registers: int = MAX_WRITE_REGISTERS
+) -> list[list[int]]:
     """Indices of `writes`, in their order, grouped where one follows the other without a gap in the same table.
 
     Never reordered (a start bit must come after its target) and never bridging a gap (other registers would be written).
@@ -225,5 +229,5 @@ def group_writes(writes: Sequence[tuple[Table, Span]], *, max_registers: int = M
     return groups
 
 
-def _data_bytes(table: Table, count: int) -> int:
+def _data_bytes(table: AddressSpace, count: int) -> int:
     return (count + 7) // 8 if table.is_bits else 2 * count

@@ -20,7 +20,7 @@ from drivers.standstill import Standstill, arrived_within_counts
 
 
 @dataclass(frozen=True)
-class Move:
+class ProfileMove:
     """One move in motor counts, with the values to write; velocity of the load, mm/s."""
 
     start_counts: float
@@ -34,7 +34,7 @@ class ProfileMoves:
     not go at its begin, so that it does not tell its end."""
 
     def __init__(self, unit: Unit, limits: DriveLimits) -> None:
-        self.under_way: Move | None = None
+        self.under_way: ProfileMove | None = None
         self.unshown = False
         self._unit = unit
         self._limits = limits
@@ -50,12 +50,12 @@ class ProfileMoves:
         yield
         self._unit.commands.keep(found)
 
-    def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> Move:
+    def planned(self, position_load_mm: float, velocity_mm_s: float, raw: dict[str, Raw]) -> ProfileMove:
         """A move (mm, mm/s) from the position of a sample. Raises InputError for values outside its registers; writes nothing."""
         start_counts = self._unit.values.position_counts(raw)
         target_counts = float(self._unit.scaling.motor_counts(position_load_mm))
         written_counts = target_counts - start_counts if self._unit.map.move.relative else target_counts
-        return Move(start_counts, target_counts, velocity_mm_s, self._profile(written_counts, velocity_mm_s))
+        return ProfileMove(start_counts, target_counts, velocity_mm_s, self._profile(written_counts, velocity_mm_s))
 
     def _profile(self, target_counts: float, velocity_mm_s: float) -> dict[str, Raw]:
         """All settings of a move, speeds before the target, as some drives start on the target; neighbours are joined when written."""
@@ -89,7 +89,7 @@ class ProfileMoves:
             self._unit.commands.give(move.release)
             self._unit.commands.wait_for(move.idle, "set-point hand-shake to be idle", move.timeout_s)
 
-    def begin(self, planned: Move) -> None:
+    def begin(self, planned: ProfileMove) -> None:
         """Start the move; returns when the axis has started. After an error it may be moving. Raises MotionTimeoutError,
         NoAnswerError."""
         move, commands = self._unit.map.move, self._unit.commands
@@ -125,7 +125,7 @@ class ProfileMoves:
     def _reached_now(self) -> bool:
         return self.reached(self._unit.access.read(self._unit.map.sampled()))
 
-    def _await_departure(self, move: Move) -> None:
+    def _await_departure(self, move: ProfileMove) -> None:
         """Wait until "in position" of the last move goes, so that it is not taken for the end of this one, unless it is `unshown`.
 
         Raises MotionTimeoutError when the drive accepted the target but does not move and shows "in position".

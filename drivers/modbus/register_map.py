@@ -28,7 +28,7 @@ from drivers.facts import Strength
 from drivers.files import named_file, shipped
 from drivers.modbus.codec import Layout, Order, Raw, RegisterType, decode, encode
 from drivers.modbus.map_facts import UNSTATED, Fact, Origin
-from drivers.modbus.plan import MAX_READ_REGISTERS, MAX_WRITE_REGISTERS, Span, Table
+from drivers.modbus.plan import MAX_READ_REGISTERS, MAX_WRITE_REGISTERS, AddressSpace, Span
 from drivers.toml_schema import Document, either
 from drivers.toml_types import Key, Limits, SchemaError, Text, Via, one_of
 
@@ -58,7 +58,7 @@ class Memory(Enum):
     EEPROM = "eeprom"
 
 
-_MODICON_TABLES = {0: Table.COIL, 1: Table.DISCRETE, 3: Table.INPUT, 4: Table.HOLDING}
+_MODICON_TABLES = {0: AddressSpace.COIL, 1: AddressSpace.DISCRETE, 3: AddressSpace.INPUT, 4: AddressSpace.HOLDING}
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Register:
     """
 
     name: str
-    table: Table
+    table: AddressSpace
     span: Span
     layout: Layout
     scale: float = 1.0
@@ -101,7 +101,7 @@ class Register:
         return self.access is not RegisterRights.RO
 
     @property
-    def place(self) -> tuple[Table, Span]:
+    def place(self) -> tuple[AddressSpace, Span]:
         return self.table, self.span
 
     @property
@@ -292,7 +292,7 @@ class _Head:
     single_writes: bool = True
     max_read_registers: Annotated[int, Limits(ge=4, le=MAX_READ_REGISTERS)] = MAX_READ_REGISTERS
     max_write_registers: Annotated[int, Limits(ge=4, le=MAX_WRITE_REGISTERS)] = MAX_WRITE_REGISTERS
-    table: Table | None = None
+    table: AddressSpace | None = None
     address_rules: tuple[AddressRule, ...] = ()
     one_value_per_request: bool = False
     prove_writes: bool = False
@@ -306,7 +306,7 @@ class _Row:
     address: Annotated[
         int | str, Via(int | str, _written_address, "a whole number, or a number by [map] address_rules")
     ]
-    table: Table | None = None
+    table: AddressSpace | None = None
     type: RegisterType | None = None
     word_order: Order | None = None
     byte_order: Order | None = None
@@ -401,14 +401,14 @@ def _register(name: str, row: _Row, head: _Head) -> Register:
     )
 
 
-def _address(row: _Row, head: _Head) -> tuple[Table, int]:
+def _address(row: _Row, head: _Head) -> tuple[AddressSpace, int]:
     """The table and the 0-based PDU address of the manual's `address`. Raises SchemaError."""
     table, base = row.table or head.table, head.address_base
     words = 1 if row.type is None else row.type.words
     written = row.address if isinstance(row.address, int) else _by_rule(row.address, words, head.address_rules)
     if base in (AddressBase.PDU0, AddressBase.ONE):
         if table is None:
-            raise SchemaError("", f"lacks table, expected {either(each.value for each in Table)}")
+            raise SchemaError("", f"lacks table, expected {either(each.value for each in AddressSpace)}")
         start = written - (base is AddressBase.ONE)
         if not 0 <= start <= 0xFFFF:
             raise SchemaError("address", f"is {written}, expected {written - start} to {0xFFFF + written - start}")
@@ -426,7 +426,7 @@ def _address(row: _Row, head: _Head) -> tuple[Table, int]:
 
 def _refuse_overlaps(document: Document, registers: Mapping[str, Register]) -> None:
     """Raise InputError for two names on one address, which is nearly always a typing error."""
-    furthest: dict[Table, Register] = {}
+    furthest: dict[AddressSpace, Register] = {}
     for register in sorted(registers.values(), key=lambda each: each.span):
         before = furthest.get(register.table)
         if before is not None and register.span.start < before.span.end:

@@ -23,7 +23,7 @@ from drivers.errors import (
 from drivers.modbus.codec import Raw
 from drivers.modbus.drive_map import DriveMap
 from drivers.modbus.link import LinkPolicy, ModbusLink
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.register_access import RegisterAccess
 
 POLICY = LinkPolicy(read_retries=0, busy_s=0.0, quiet_s=0.02)
@@ -82,7 +82,7 @@ def scan(
 def _ask(link: ModbusLink, unit: int) -> str | None:
     """None: no unit there; else its refusal, "" when it gave the register. Raises OtherAnswerError."""
     try:
-        link.read(unit, Table.HOLDING, Span(0, 1), urgent=True)
+        link.read(unit, AddressSpace.HOLDING, Span(0, 1), urgent=True)
     except AbortError as error:
         return str(error).rpartition(": ")[2]
     except ProtocolError as error:

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
-from drivers.correction_table import COLUMNS, UNITS, Quantity, TableDescription, TableHead
+from drivers.correction_table import COLUMNS, UNITS, RawFormat, TableDescription, TableHead
 from drivers.modbus.map_roles import Named, Whole
 from drivers.modbus.register_map import Memory, Register, RegisterMap
 from drivers.toml_schema import Document
@@ -39,14 +39,14 @@ class TableBlocks:
         return frozenset(register.name for register in found)
 
 
-def quantity_of(register: Register) -> Quantity:
+def quantity_of(register: Register) -> RawFormat:
     """Unit, scale and range of a register's raw numbers."""
     low, high = register.layout.type.bounds
     if register.minimum is not None:
         low = max(low, math.ceil(register.minimum / register.scale - 1e-9))
     if register.maximum is not None:
         high = min(high, math.floor(register.maximum / register.scale + 1e-9))
-    return Quantity(register.unit, register.scale, low, high)
+    return RawFormat(register.unit, register.scale, low, high)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from drivers.errors import (
 )
 from drivers.listening import Listening
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
-from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, Span, Table
+from drivers.modbus.plan import MAX_READ_BITS, MAX_READ_REGISTERS, AddressSpace, Span
 from drivers.modbus.ports import Check, Port, SerialPort, TcpPort
 from drivers.system_errors import told_with_remedy
 
@@ -65,10 +65,10 @@ class Function(IntEnum):
 
 
 _READ = {
-    Table.COIL: Function.READ_COILS,
-    Table.DISCRETE: Function.READ_DISCRETE,
-    Table.HOLDING: Function.READ_HOLDING,
-    Table.INPUT: Function.READ_INPUT,
+    AddressSpace.COIL: Function.READ_COILS,
+    AddressSpace.DISCRETE: Function.READ_DISCRETE,
+    AddressSpace.HOLDING: Function.READ_HOLDING,
+    AddressSpace.INPUT: Function.READ_INPUT,
 }
 _METHODS = {
     Function.READ_COILS: "read_coils",
@@ -107,7 +107,7 @@ class Request:
     values: tuple[int, ...] = ()
 
     @classmethod
-    def read(cls, table: Table, span: Span) -> Request:
+    def read(cls, table: AddressSpace, span: Span) -> Request:
         """A read request. Raises InputError for more values than one request may have (V1.1b3, 6.1 to 6.4)."""
         limit = MAX_READ_BITS if table.is_bits else MAX_READ_REGISTERS
         if span.count > limit:
@@ -115,7 +115,7 @@ class Request:
         return cls(_READ[table], span.start, span.count)
 
     @classmethod
-    def write(cls, table: Table, start: int, values: tuple[int, ...], *, single: bool = True) -> Request:
+    def write(cls, table: AddressSpace, start: int, values: tuple[int, ...], *, single: bool = True) -> Request:
         """A write request. single: one value goes with function 5 or 6 rather than 15 or 16. Raises InputError."""
         if not table.is_writable:
             raise InputError(f"table {table.value} cannot be written")

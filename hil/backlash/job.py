@@ -34,7 +34,7 @@ from hil.calibration.job import enter_backlash
 from hil.correction.store import SealedStore, bound_tables
 from hil.correction.tables import SingleTable
 from hil.desk.job import Job, Workplace
-from hil.desk.plan import Move, Plan, Write
+from hil.desk.plan import Move, Plan, PlannedWrite
 from hil.machine.events import Listener, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.records.files import read_note
@@ -67,8 +67,8 @@ def measuring_plan(axis: DriveAxis, how: BacklashConfig, *, write: bool = False)
         ends = (how.start_mm(direction), how.turning_mm(direction), how.end_mm(direction))
         moves.append(Move(f"reverse {NAMES[direction]}", min(ends), max(ends), how.travel_velocity_mm_s))
     places = _parameters(axis, how)
-    writes = [Write("meanwhile", place) for place in places] if how.parameter else []
-    writes += [Write("parameter", places[0])] if write else []
+    writes = [PlannedWrite("meanwhile", place) for place in places] if how.parameter else []
+    writes += [PlannedWrite("parameter", places[0])] if write else []
     return Plan(axis.name, axis.drive.backend, tuple(moves), tuple(writes), how.home, locked=write)
 
 
@@ -348,7 +348,9 @@ def original_values(axis: DriveAxis) -> dict[str, float] | None:
 
 
 def _parameter_plan(axis: DriveAxis, how: BacklashConfig) -> Plan:
-    return Plan(axis.name, axis.drive.backend, writes=(Write("parameter", _parameters(axis, how)[0]),), locked=True)
+    return Plan(
+        axis.name, axis.drive.backend, writes=(PlannedWrite("parameter", _parameters(axis, how)[0]),), locked=True
+    )
 
 
 def _remember(axis: DriveAxis, before: dict[str, float], amount: float) -> None:

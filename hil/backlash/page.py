@@ -13,7 +13,7 @@ from hil.axis.backlash import BacklashConfig
 from hil.backlash import job as backlash
 from hil.backlash.job import CompensationState
 from hil.backlash.page_data import backlash_screen, kept_backlash
-from hil.ui.screen.pieces import Check, Reading, draw_ready, draw_where, lead
+from hil.ui.screen.pieces import FolderContents, StartCondition, draw_ready, draw_where, lead
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.view import Refresh, View
 
@@ -57,7 +57,7 @@ def _draw_measured(view: View) -> Refresh:
             original = view.value("backlash.original", small=True)
             switched = view.value("backlash.function", small=True)
         before = view.named(ui.label().classes("hil-name"), "backlash.kept")
-    kept = Reading(view, partial(kept_backlash, view.desk.axis))
+    kept = FolderContents(view, partial(kept_backlash, view.desk.axis))
 
     def refresh() -> None:
         shown = backlash_screen(view.desk)
@@ -129,7 +129,7 @@ def _draw_buttons(view: View) -> Refresh:
             job = backlash.switch_job(desk.axis, how, on=not seen.on)
             await view.ask_and_run(job, changes=[_change(view, seen, 0.0 if seen.on else seen.written)])
 
-    homing = Check("homing", lambda: desk.live.homed is not False, done_by_itself=True)
+    homing = StartCondition("homing", lambda: desk.live.homed is not False, done_by_itself=True)
     ready = draw_ready(view, "backlash", homing)
     with ui.element("div").classes("hil-buttons"):
         start_button = view.button("backlash.start", start).classes("hil-go")

@@ -47,7 +47,7 @@ class Reversal:
 
 
 @dataclass(frozen=True)
-class LostMotion:
+class MeanLostMotion:
     """A mean over reversals and its uncertainty: mean ± u95 with 95 % confidence."""
 
     mean_um: float
@@ -69,7 +69,7 @@ def _mean(values: Sequence[float | None]) -> float | None:
     return sum(known) / len(known) if known and len(known) == len(values) else None
 
 
-def fitted_lost_motion(reversals: Sequence[Reversal], directions: Sequence[int] = BOTH) -> LostMotion | None:
+def fitted_lost_motion(reversals: Sequence[Reversal], directions: Sequence[int] = BOTH) -> MeanLostMotion | None:
     """Mean of these directions by the fitted curve, with its uncertainty at 95 %; None where a fit is missing.
 
     The random part is that of the fits, or the scatter of the runs of one direction where that is larger;
@@ -82,7 +82,7 @@ def fitted_lost_motion(reversals: Sequence[Reversal], directions: Sequence[int] 
     u_um = math.hypot(
         math.sqrt(variance), max(hidden_um(one.trace, mean) for each in directions for one in _into(reversals, each))
     )
-    return LostMotion(mean, _NORMAL * u_um)
+    return MeanLostMotion(mean, _NORMAL * u_um)
 
 
 def _chance_variance(reversals: Sequence[Reversal], direction: int) -> float:
@@ -135,7 +135,7 @@ class TorqueBacklash:
         return next((one for one in self.reversals if one.lost_motion_um(self.method) is None), None)
 
     @property
-    def fitted(self) -> LostMotion | None:
+    def fitted(self) -> MeanLostMotion | None:
         """Mean over the directions measured, by the fitted curve; None where a fit is missing."""
         return fitted_lost_motion(self.reversals, self.directions)
 

@@ -19,7 +19,7 @@ from hil.correction.compensation import Compensation
 from hil.correction.tables import (
     Band,
     DirectionalTable,
-    Outside,
+    OutsideBand,
     SingleTable,
     TableSet,
     compute_tables,
@@ -46,7 +46,7 @@ class Round:
 
     records: Records
     tables: TableSet
-    outside: tuple[Outside, ...]
+    outside: tuple[OutsideBand, ...]
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class Calibration:
     moved_um: Mapping[tuple[float, int], float] = field(default_factory=dict)
 
     @property
-    def outside(self) -> tuple[Outside, ...]:
+    def outside(self) -> tuple[OutsideBand, ...]:
         """The sections outside the band in the last round."""
         return self.rounds[-1].outside
 
@@ -210,7 +210,7 @@ def as_stored(tables: TableSet, correction: CorrectionConfig) -> TableSet:
     return tables.stepped() if correction.interpolation == "step" else tables
 
 
-def _outside(records: Records, band: Band | None) -> list[Outside]:
+def _outside(records: Records, band: Band | None) -> list[OutsideBand]:
     return [] if band is None else sections_outside(section_means(records), band)
 
 
@@ -219,7 +219,7 @@ Moved = dict[tuple[float, int], float]
 
 
 def _revised(
-    tables: TableSet, outside: Sequence[Outside], correction: CorrectionConfig, number: int, moved_um: Moved
+    tables: TableSet, outside: Sequence[OutsideBand], correction: CorrectionConfig, number: int, moved_um: Moved
 ) -> TableSet:
     """Revised by system A's formula after the first proof, by fine steps after each later one, which are added to `moved_um`.
 
@@ -248,7 +248,7 @@ def _total(correction: CorrectionConfig) -> str:
     return f"fine steps may move a section by {correction.fine_total_um:g} µm in all (fine_total_um)"
 
 
-def _verdict(outside: Sequence[Outside], band: Band | None) -> str:
+def _verdict(outside: Sequence[OutsideBand], band: Band | None) -> str:
     if band is None:
         return "measured with the correction in force"
     if not outside:

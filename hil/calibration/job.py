@@ -25,7 +25,7 @@ from hil.correction.tables import (
     Band,
     DirectionalTable,
     NotJudged,
-    Outside,
+    OutsideBand,
     SignedSections,
     SingleTable,
     TableMode,
@@ -34,7 +34,7 @@ from hil.correction.tables import (
     section_means,
 )
 from hil.desk.job import Job, Workplace, tell_unchecked
-from hil.desk.plan import Move, Plan, Write, going_on, measuring_plan
+from hil.desk.plan import Move, Plan, PlannedWrite, going_on, measuring_plan
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.figures.error_figures import error_figures
 from hil.figures.history import purpose_of_replay
@@ -55,7 +55,7 @@ MANUAL, ENTER, WITHDRAW = "manual", "enter backlash", "withdraw"
 def calibration_plan(axis: AxisConfig) -> Plan:
     """The moves and writes of a calibration: the uncorrected axis, and at least one proof of the tables."""
     steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
-    writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
+    writes = [PlannedWrite("rows", str(axis.store.directory)), PlannedWrite("tables", str(axis.tables_path))]
     return measuring_plan(axis, [*steps, *steps], writes, locked=True)
 
 
@@ -151,10 +151,10 @@ def calibration_job(
     plan = zero.in_plan(calibration_plan(axis))
     if resume:
         plan = going_on(plan, axis.store.directory, CALIBRATE)
-    beside = [] if straightness is None else [Write("straightness", str(Part.of_both(straightness)))]
-    beside += [] if backlash is None else [Write("backlash", str(Part.of(backlash.value_um)))]
+    beside = [] if straightness is None else [PlannedWrite("straightness", str(TablePart.of_both(straightness)))]
+    beside += [] if backlash is None else [PlannedWrite("backlash", str(TablePart.of(backlash.value_um)))]
     if axis.correction.band is not None:
-        beside.append(Write("signs", signs_text(axis.correction.band)))
+        beside.append(PlannedWrite("signs", signs_text(axis.correction.band)))
     return Job(CALIBRATE, replace(plan, writes=(*plan.writes, *beside)), work)
 
 
@@ -256,7 +256,7 @@ def beside_stored(
 
 def entering_job(axis: AxisConfig, backlash: SingleTable) -> Job:
     """Job that stores a backlash beside the stored pitch and returns the Compensation; nothing moves."""
-    plan = Plan(axis.name, axis.drive.backend, writes=(Write("tables", str(axis.tables_path)),), locked=True)
+    plan = Plan(axis.name, axis.drive.backend, writes=(PlannedWrite("tables", str(axis.tables_path)),), locked=True)
     return Job(ENTER, plan, lambda place: enter_backlash(place.opened_store(), axis, backlash, alone=False))
 
 
@@ -269,7 +269,7 @@ def withdrawal_job(axis: AxisConfig) -> Job:
             place.session.compensation = None
         return stated
 
-    writes = (Write("withdrawn", str(axis.tables_path)),)
+    writes = (PlannedWrite("withdrawn", str(axis.tables_path)),)
     return Job(WITHDRAW, Plan(axis.name, axis.drive.backend, writes=writes, locked=True), work)
 
 
@@ -298,7 +298,7 @@ def summarise(axis: AxisConfig, result: Calibration) -> dict[str, Any]:
 
 # -- typed tables --------------------------------------------------------------------------------------------------------
 @dataclass(frozen=True)
-class Part:
+class TablePart:
     """One part of tables in short: how many places it has, its lowest and its highest correction, µm."""
 
     places: int
@@ -306,19 +306,19 @@ class Part:
     high_um: float
 
     @classmethod
-    def of(cls, values_um: Floats) -> Part:
+    def of(cls, values_um: Floats) -> TablePart:
         """The part with these corrections."""
         return cls(len(values_um), float(values_um.min()), float(values_um.max()))
 
     @classmethod
-    def of_both(cls, table: DirectionalTable) -> Part:
+    def of_both(cls, table: DirectionalTable) -> TablePart:
         return replace(cls.of(np.concatenate([table.plus_um, table.minus_um])), places=len(table.position_mm))
 
     def __str__(self) -> str:
         return f"{self.low_um:.2f} to {self.high_um:.2f} µm, {self.places} places"
 
 
-def parts_of(tables: TableSet) -> dict[str, Part]:
+def parts_of(tables: TableSet) -> dict[str, TablePart]:
     """The parts that are added to commands, by the name of their text on the screen, in the form in which they are stored."""
     pitch, specified, straightness = tables.pitch, tables.specified, tables.straightness
     nodes = pitch.position_mm
@@ -327,8 +327,10 @@ def parts_of(tables: TableSet) -> dict[str, Part]:
         parts |= {"specified_plus": specified.plus_um, "specified_minus": specified.minus_um}
     if straightness is not None:
         name = "straightness_across" if tables.straightness_axis else "straightness"
-        return {each: Part.of(values_um) for each, values_um in parts.items()} | {name: Part.of_both(straightness)}
-    return {name: Part.of(values_um) for name, values_um in parts.items()}
+        return {each: TablePart.of(values_um) for each, values_um in parts.items()} | {
+            name: TablePart.of_both(straightness)
+        }
+    return {name: TablePart.of(values_um) for name, values_um in parts.items()}
 
 
 def manual_tables(
@@ -366,7 +368,7 @@ def manual_job(axis: AxisConfig, tables: TableSet) -> Job:
         place.opened_store().save(Compensation(tables), measured=False)
         return tables
 
-    writes = (Write("tables", str(axis.tables_path)),)
+    writes = (PlannedWrite("tables", str(axis.tables_path)),)
     return Job(MANUAL, Plan(axis.name, axis.drive.backend, writes=writes, locked=True), work)
 
 
@@ -377,7 +379,7 @@ class Verification:
     None for none."""
 
     records: Records
-    outside: tuple[Outside, ...]
+    outside: tuple[OutsideBand, ...]
     not_judged: tuple[NotJudged, ...]
     compensation: Compensation | None
 
@@ -415,7 +417,7 @@ def verify(
 
 def verification_plan(axis: AxisConfig, seed: int) -> Plan:
     steps = bidirectional_steps(other_targets(axis.measurement, seed), axis.measurement.runs)
-    return measuring_plan(axis, steps, [Write("rows", str(axis.store.directory))])
+    return measuring_plan(axis, steps, [PlannedWrite("rows", str(axis.store.directory))])
 
 
 def run_verification(
@@ -498,7 +500,7 @@ def straightness_plan(axis: AxisConfig, seed: int) -> Plan:
     runs = axis.measurement.runs
     steps = bidirectional_steps(axis.measurement.targets_mm, runs)
     proof = bidirectional_steps(other_targets(axis.measurement, seed), runs)
-    writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
+    writes = [PlannedWrite("rows", str(axis.store.directory)), PlannedWrite("tables", str(axis.tables_path))]
     return measuring_plan(axis, [*steps, *proof, *proof], writes, locked=True)
 
 

@@ -16,7 +16,7 @@ from hil.calibration.pages.result import Kept, draw_accuracy, draw_band, draw_cu
 from hil.calibration.pages.typed_tables import TypedTables, across_axis, across_of, asking
 from hil.desk.progress import Progress
 from hil.figures.verdict import Decision
-from hil.ui.screen.pieces import Reading, Steps, draw_ready, draw_where, lead, measured_checks, tables_check
+from hil.ui.screen.pieces import FolderContents, Steps, draw_ready, draw_where, lead, measured_checks, tables_check
 from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
@@ -35,7 +35,7 @@ def draw(view: View) -> None:
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("calibrate.no_instrument")).classes("hil-note"), "calibrate.no_instrument")
         return
-    kept: Kept = Reading(view, partial(calibration_screen, axis))
+    kept: Kept = FolderContents(view, partial(calibration_screen, axis))
     messages = view.messages("calibrate.messages")
     typed = TypedTables(view, axis)
     ways: dict[str, GoOn] = {}

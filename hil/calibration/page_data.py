@@ -16,7 +16,7 @@ from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, accuracy_of, uncertainty_of
 from hil.calibration.job import CALIBRATE, UNCORRECTED, VERIFY, backlash_of, signs_of
 from hil.correction.store import bound_tables
-from hil.correction.tables import Band, NotJudged, Outside, SignedSections, SingleTable, judge, section_means
+from hil.correction.tables import Band, NotJudged, OutsideBand, SignedSections, SingleTable, judge, section_means
 from hil.figures.history import Pass, read_campaign, series
 from hil.figures.iso230 import iso230
 from hil.figures.uncertainty import budget_um
@@ -45,7 +45,7 @@ class MeasuredStage:
     figures_um: Mapping[str, float]
     u95_um: Mapping[str, float]
     band: Band | None
-    outside: tuple[Outside, ...] | None
+    outside: tuple[OutsideBand, ...] | None
     not_judged: tuple[NotJudged, ...] = ()
     accuracy: Accuracy | None = None
 

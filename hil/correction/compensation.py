@@ -118,7 +118,7 @@ class MotionHistory:
 
 
 @dataclass(frozen=True)
-class Command:
+class CorrectedSetPoint:
     """One corrected set-point."""
 
     target_mm: float
@@ -226,7 +226,7 @@ class Compensation:
         known: Mapping[str, float],
         bound: CorrectionBound = CAREFUL,
         actual: MotionHistory | None = None,
-    ) -> Command:
+    ) -> CorrectedSetPoint:
         """The command for a motion to a target.
 
         known: sensor values and the like at the moment the set-point is issued (`time_s`, `velocity_mm_s`, `temp_screw_c` …)
@@ -248,4 +248,4 @@ class Compensation:
         near_um = self.correction_um(rows_at(near_mm, values)).tolist()
         bound.check_command(after.direction, near_mm, near_um)
         correction_um = near_um[0]
-        return Command(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)
+        return CorrectedSetPoint(target_mm, target_mm + correction_um / UM_PER_MM, correction_um, after)

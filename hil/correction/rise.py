@@ -36,7 +36,7 @@ class Rises(Protocol):
 
 
 @dataclass(frozen=True)
-class Shape:
+class RiseShape:
     """A way to rise: `columns(travel_mm, lengths_mm)` gives one column for each amount, 0 at travel 0; `rises` lengths come first.
 
     at: the sum of amounts times columns at one travel, quickly, for a stream that asks at every set-point.
@@ -82,29 +82,31 @@ def _straight_pieces_at(s: float, lengths: Sequence[float], amounts: Sequence[fl
     return sum(amounts[:k]) + amounts[k] * (s - start) / (lengths[k] - start)
 
 
-TWO_TANH = Shape("two tanh", _two_tanh, _two_tanh_at, _two_tanh_settled, rises=2, onsets=1)
-TANH = Shape(
+TWO_TANH = RiseShape("two tanh", _two_tanh, _two_tanh_at, _two_tanh_settled, rises=2, onsets=1)
+TANH = RiseShape(
     "tanh",
     lambda s, lengths: np.tanh(s / lengths[0])[:, None],
     lambda s, lengths, amounts: amounts[0] * math.tanh(s / lengths[0]),
     lambda lengths: _SETTLED / 2 * lengths[0],
     rises=1,
 )
-EXPONENTIAL = Shape(
+EXPONENTIAL = RiseShape(
     "exponential",
     lambda s, lengths: -np.expm1(-s / lengths[0])[:, None],
     lambda s, lengths, amounts: -amounts[0] * math.expm1(-s / lengths[0]),
     lambda lengths: _SETTLED * lengths[0],
     rises=1,
 )
-DEAD_ZONE = Shape(
+DEAD_ZONE = RiseShape(
     "dead zone",
     lambda s, lengths: np.minimum(s / lengths[0], 1.0)[:, None],
     lambda s, lengths, amounts: amounts[0] * min(s / lengths[0], 1.0),
     lambda lengths: lengths[0],
     rises=1,
 )
-STRAIGHT_PIECES = Shape("straight pieces", _straight_pieces, _straight_pieces_at, lambda lengths: lengths[-1], knots=16)
+STRAIGHT_PIECES = RiseShape(
+    "straight pieces", _straight_pieces, _straight_pieces_at, lambda lengths: lengths[-1], knots=16
+)
 SHAPES = (TWO_TANH, TANH, EXPONENTIAL, DEAD_ZONE)
 """The smooth shapes of the literature, and the dead zone as the reference that they must improve on."""
 RUNNABLE = (*SHAPES, STRAIGHT_PIECES)
@@ -118,7 +120,7 @@ class Rise:
     Raises InputError for amounts or lengths that are not of that shape.
     """
 
-    shape: Shape
+    shape: RiseShape
     amounts_um: tuple[float, ...]
     lengths_mm: tuple[float, ...]
 

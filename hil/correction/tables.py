@@ -584,7 +584,7 @@ def revised_value_um(
 
 
 @dataclass(frozen=True)
-class Outside:
+class OutsideBand:
     """One section and direction whose mean error lies outside the band."""
 
     target_mm: float
@@ -595,13 +595,13 @@ class Outside:
         return f"{self.target_mm:g} mm {'+' if self.direction > 0 else '-'} ({self.error_um:+.2f} µm)"
 
 
-def sections_outside(means: SectionMeans, band: Band) -> list[Outside]:
+def sections_outside(means: SectionMeans, band: Band) -> list[OutsideBand]:
     """The measured sections and directions outside the band; what was not measured is not judged."""
     found = []
     for direction, errors in ((1, means.plus_um), (-1, means.minus_um)):
         for target, error in zip(means.target_mm, errors, strict=True):
             if not math.isnan(error) and not bool(band.at(float(target), direction).holds(error)):
-                found.append(Outside(float(target), direction, float(error)))
+                found.append(OutsideBand(float(target), direction, float(error)))
     return sorted(found, key=lambda section: (section.target_mm, -section.direction))
 
 
@@ -626,7 +626,7 @@ class NotJudged:
 
 def judge(
     means: SectionMeans, band: Band, targets_mm: Sequence[float]
-) -> tuple[tuple[Outside, ...], tuple[NotJudged, ...]]:
+) -> tuple[tuple[OutsideBand, ...], tuple[NotJudged, ...]]:
     """The sections outside the band, and those not judged (`Band.unlike_targets`). targets_mm: that the tables were made at."""
     unlike = []
     for direction, errors in ((1, means.plus_um), (-1, means.minus_um)):
@@ -639,7 +639,7 @@ def judge(
 
 
 def revise(
-    specified: DirectionalTable, outside: Iterable[Outside], band: Band, *, fine_step_um: float | None = None
+    specified: DirectionalTable, outside: Iterable[OutsideBand], band: Band, *, fine_step_um: float | None = None
 ) -> DirectionalTable:
     """The specified-accuracy table with the sections outside the band revised, µm.
 

@@ -21,7 +21,7 @@ from hil.desk.error_log import ERRORS, ErrorLog
 from hil.desk.job import Job, Question, Workplace
 from hil.desk.live import RATE_HZ, Board, Live, SignalLimits, of_sample
 from hil.desk.progress import JobLog, Phase
-from hil.desk.stop import Pacing, Standstill, Stop, StoppedByOperator
+from hil.desk.stop import MeasuredStop, Pacing, Stop, StoppedByOperator
 from hil.machine.computing import watched
 from hil.machine.session import AxisSession
 from hil.machine.supervisor import Supervisor
@@ -31,7 +31,7 @@ from hil.records.rows import UM_PER_MM
 
 
 @dataclass(frozen=True)
-class Connection:
+class DeskConnection:
     """A connected axis; session: None for an axis without an instrument."""
 
     drive: ServoDrive
@@ -44,20 +44,20 @@ class Connection:
         return self.session.one_job()
 
 
-Connect = Callable[[Waiting], AbstractContextManager[Connection]]
+Connect = Callable[[Waiting], AbstractContextManager[DeskConnection]]
 
 
 def to_axis(axis: DriveAxis) -> Connect:
     """Connects the axis of an axis file, with its instrument where it has one."""
 
     @contextmanager
-    def connect(waiting: Waiting) -> Iterator[Connection]:
+    def connect(waiting: Waiting) -> Iterator[DeskConnection]:
         if isinstance(axis, AxisConfig):
             with connected(axis, waiting=waiting) as machine:
-                yield Connection(machine.session.drive, machine.session)
+                yield DeskConnection(machine.session.drive, machine.session)
         else:
             with connected_drive(axis, waiting=waiting) as drive:
-                yield Connection(drive, None)
+                yield DeskConnection(drive, None)
 
     return connect
 
@@ -106,7 +106,7 @@ class AxisThread:
     def __init__(self, axis: DriveAxis, connect: Connect, pace: float) -> None:
         self.axis = axis
         self.stop = Stop()
-        self.standstill = Standstill()
+        self.standstill = MeasuredStop()
         self.board = Board()
         self.asking = Asking()
         self.errors = ErrorLog(axis.store.directory / ERRORS)
@@ -212,7 +212,7 @@ class AxisThread:
                 other.take_back()
             asked.log.end(phase, error=error)
 
-    def _serve(self, connection: Connection) -> None:
+    def _serve(self, connection: DeskConnection) -> None:
         """Sample the axis and run jobs until it is to be disconnected: for a job that connects by itself, another thread, or the
         end."""
         due_ns = connection.drive.clock.now_ns()
@@ -232,7 +232,7 @@ class AxisThread:
                 self._hold(connection.drive)
 
     # -- in the thread: jobs -------------------------------------------------------------------------------------------
-    def _run(self, connection: Connection) -> None:
+    def _run(self, connection: DeskConnection) -> None:
         """Run the requested job on the connected axis."""
         self.stop.check()
         asked = self._take()
@@ -343,7 +343,7 @@ class AxisThread:
             environment=session.instrument.environment(),
         )
 
-    def _look(self, connection: Connection) -> None:
+    def _look(self, connection: DeskConnection) -> None:
         """Sample drive and instrument while no job runs. Only a lost drive raises; faults and old readings are shown."""
         connection.drive.looked_at(connection.drive.sample())
         session = connection.session

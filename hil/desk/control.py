@@ -36,7 +36,7 @@ class Holder:
     lost: bool
 
 
-class Control:
+class DeskControl:
     """Control of one desk, for any thread. on_change: called, with the lock held, when the holder changes; it ends the holder's
     rights."""
 

@@ -19,8 +19,8 @@ from hil.correction.sealed.errors import WrongPasswordError
 from hil.desk.asking import Pending
 from hil.desk.axis_thread import AxisThread, Connect, JobRequest, to_axis
 from hil.desk.backoff import BackOff
-from hil.desk.control import Control
-from hil.desk.event_log import EVENTS, EventLog, Kind
+from hil.desk.control import DeskControl
+from hil.desk.event_log import EVENTS, EventLog, LogKind
 from hil.desk.job import Job
 from hil.desk.live import Live, Silence, TracePoint
 from hil.desk.plan import Plan
@@ -68,7 +68,7 @@ class Desk:
     ) -> None:
         self.axis = axis
         self._numbers = itertools.count(1) if numbers is None else numbers
-        self.control = Control()
+        self.control = DeskControl()
         self.rights = Rights(axis)
         self.control.on_change = self.rights.forget
         self._thread = AxisThread(axis, connect or to_axis(axis), pace)
@@ -150,7 +150,7 @@ class Desk:
         """Log the last stop, if anything moved or ran, with the name of the browser that pressed it."""
         stopped, self._stopped_something = self._stopped_something, False
         if stopped:
-            self.events.add(Kind.STOP, "stop", who=who)
+            self.events.add(LogKind.STOP, "stop", who=who)
 
     @property
     def came_to_rest(self) -> CameToRest | None:
@@ -177,7 +177,7 @@ class Desk:
             with self._lock:
                 self._require_free()
                 self._log = self._last[job.kind] = log
-                self.events.add(Kind.JOB, "started", who=log.who, job=job.kind)
+                self.events.add(LogKind.JOB, "started", who=log.who, job=job.kind)
                 threads = tuple(other._thread for other in lent or ())
                 self._thread.ask(JobRequest(job, log, self.rights.store, threads))
             undo.pop_all()
@@ -185,13 +185,13 @@ class Desk:
     def take_control(self, who: str, *, over: bool = False) -> str:
         """Take control, or take it over from a silent holder; returns the token. Raises ControlHeldError."""
         token = self.control.take_over(who) if over else self.control.take(who)
-        self.events.add(Kind.CONTROL, "taken_over" if over else "taken", who=who)
+        self.events.add(LogKind.CONTROL, "taken_over" if over else "taken", who=who)
         return token
 
     def release_control(self, token: str | None, who: str) -> None:
         """Release control. Raises NotInControlError."""
         self.control.release(token)
-        self.events.add(Kind.CONTROL, "released", who=who)
+        self.events.add(LogKind.CONTROL, "released", who=who)
 
     def answer(self, token: str | None, number: int, *, yes: bool) -> None:
         """Answer the question of this number, if it is still asked. Raises NotInControlError."""
@@ -227,7 +227,7 @@ class Desk:
             discard(self.axis, work)
         since = "" if work.since is None else work.since.strftime("%Y-%m-%d %H:%M")
         figures = {"job": work.kind, "since": since, "rows": str(work.rows)}
-        self.events.add(Kind.WRITE, "discarded", who=self._holder_name(), **figures)
+        self.events.add(LogKind.WRITE, "discarded", who=self._holder_name(), **figures)
 
     def become_builder(self, token: str | None, key_password: str, reading_password: str = "") -> None:
         """Take the builder's role, until control changes. Takes about a second. Raises NotInControlError, and as `Rights`."""
@@ -280,19 +280,19 @@ class Desk:
         figures = {"job": log.kind}
         if log.phase is Phase.DONE:
             for change in log.changes:
-                self.events.add(Kind.WRITE, "wrote", who=log.who, change=change, **figures)
-            self.events.add(Kind.JOB, "done", who=log.who, **figures)
+                self.events.add(LogKind.WRITE, "wrote", who=log.who, change=change, **figures)
+            self.events.add(LogKind.JOB, "done", who=log.who, **figures)
         elif log.phase in (Phase.STOPPED, Phase.WITHOUT_RESULT):
-            self.events.add(Kind.JOB, log.phase.value, who=log.who, **figures)
+            self.events.add(LogKind.JOB, log.phase.value, who=log.who, **figures)
         else:
-            self.events.add(Kind.ALARM, "failed", who=log.who, cause=log.error, remedy=_remedy(raised), **figures)
+            self.events.add(LogKind.ALARM, "failed", who=log.who, cause=log.error, remedy=_remedy(raised), **figures)
             self._told_lost = isinstance(raised, TransportError)
 
     def _lost(self, said: str) -> None:
         """An axis that was connected is lost. That of a job is told by the job's own alarm."""
         told, self._told_lost = self._told_lost, False
         if not told:
-            self.events.add(Kind.ALARM, "lost", cause=said, remedy="link")
+            self.events.add(LogKind.ALARM, "lost", cause=said, remedy="link")
 
     def _bare_plan(self) -> Plan:
         return Plan(self.axis.name, self.axis.drive.backend)

@@ -27,7 +27,7 @@ KEPT = 500
 """Latest entries in memory, for the screen, and standing alarms at most."""
 
 
-class Kind(Enum):
+class LogKind(Enum):
     """Kind of an entry."""
 
     ALARM = "alarm"
@@ -39,7 +39,7 @@ class Kind(Enum):
 
 
 @dataclass(frozen=True)
-class Entry:
+class LogEntry:
     """number: in the order of time; when: ISO 8601 with offset; what: key of the sentence; figures: what fills its places
 
     who: name of the browser, "" for none; cause: in English, of an alarm; remedy: key of what to do
@@ -47,7 +47,7 @@ class Entry:
 
     number: int
     when: str
-    kind: Kind
+    kind: LogKind
     axis: str
     what: str
     figures: Mapping[str, str] = field(default_factory=dict)
@@ -70,18 +70,20 @@ class EventLog:
     def __init__(self, path: Path, axis: str) -> None:
         self.path, self.axis = path, axis
         self._lock = threading.Lock()
-        self._entries: deque[Entry] = deque(maxlen=KEPT)
-        self._open: dict[int, Entry] = {}  # alarms that nobody has acknowledged
+        self._entries: deque[LogEntry] = deque(maxlen=KEPT)
+        self._open: dict[int, LogEntry] = {}  # alarms that nobody has acknowledged
         self._number = 0
         self.trouble = ""
         for entry in _read(path):
             self._take(entry)
 
-    def add(self, kind: Kind, what: str, *, who: str = "", cause: str = "", remedy: str = "", **figures: str) -> Entry:
+    def add(
+        self, kind: LogKind, what: str, *, who: str = "", cause: str = "", remedy: str = "", **figures: str
+    ) -> LogEntry:
         """Add an entry, in memory and on disk."""
         with self._lock:
             when = datetime.now().astimezone().isoformat(timespec="milliseconds")
-            entry = Entry(self._number + 1, when, kind, self.axis, what, figures, who, cause, remedy)
+            entry = LogEntry(self._number + 1, when, kind, self.axis, what, figures, who, cause, remedy)
             self._take(entry)
             try:
                 self._write(entry)
@@ -93,14 +95,14 @@ class EventLog:
     def acknowledge(self, number: int, who: str) -> None:
         """Acknowledge the alarm of this number; ignored for one that does not stand any more."""
         if number in self._open:
-            self.add(Kind.ACKNOWLEDGED, "acknowledged", who=who, number=str(number))
+            self.add(LogKind.ACKNOWLEDGED, "acknowledged", who=who, number=str(number))
 
-    def entries(self) -> tuple[Entry, ...]:
+    def entries(self) -> tuple[LogEntry, ...]:
         """The latest entries, the newest first."""
         with self._lock:
             return tuple(reversed(self._entries))
 
-    def alarms(self) -> tuple[Entry, ...]:
+    def alarms(self) -> tuple[LogEntry, ...]:
         """Alarms that nobody has acknowledged, the newest first."""
         with self._lock:
             return tuple(reversed(self._open.values()))
@@ -110,17 +112,17 @@ class EventLog:
         """Number of the latest entry, for a reader that looks for new ones."""
         return self._number
 
-    def _take(self, entry: Entry) -> None:
+    def _take(self, entry: LogEntry) -> None:
         self._number = entry.number
         self._entries.append(entry)
-        if entry.kind is Kind.ALARM:
+        if entry.kind is LogKind.ALARM:
             self._open[entry.number] = entry
             if len(self._open) > KEPT:
                 del self._open[min(self._open)]
-        elif entry.kind is Kind.ACKNOWLEDGED:
+        elif entry.kind is LogKind.ACKNOWLEDGED:
             self._open.pop(int(entry.figures.get("number", 0)), None)
 
-    def _write(self, entry: Entry) -> None:
+    def _write(self, entry: LogEntry) -> None:
         text = _line(entry)
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.path.exists() and self.path.stat().st_size + len(text) > MOST_BYTES:
@@ -130,11 +132,11 @@ class EventLog:
             file.write(text)
 
 
-def _line(entry: Entry) -> bytes:
+def _line(entry: LogEntry) -> bytes:
     return (json.dumps({**asdict(entry), "kind": entry.kind.value}, ensure_ascii=False) + "\n").encode()
 
 
-def _read(path: Path) -> list[Entry]:
+def _read(path: Path) -> list[LogEntry]:
     entries = []
     try:
         lines = split_lines(decode_log(read_bytes(path)))
@@ -143,7 +145,7 @@ def _read(path: Path) -> list[Entry]:
     for line in lines:
         try:
             form = parse_json(line)
-            entries.append(Entry(**{**form, "kind": Kind(form["kind"])}))
+            entries.append(LogEntry(**{**form, "kind": LogKind(form["kind"])}))
         except (ValueError, TypeError, KeyError):
             continue
     return entries

@@ -40,7 +40,7 @@ class Move:
 
 
 @dataclass(frozen=True)
-class Write:
+class PlannedWrite:
     """One thing to be written. what: "rows", "tables", "parameter", "meanwhile" (restored afterwards) …; place: file or parameter."""
 
     what: str
@@ -63,7 +63,7 @@ class Plan:
     axis: str
     backend: str
     moves: tuple[Move, ...] = ()
-    writes: tuple[Write, ...] = ()
+    writes: tuple[PlannedWrite, ...] = ()
     homes: bool = False
     datum_mm: float | None = None
     positions: int = 0
@@ -111,7 +111,9 @@ def going_on(plan: Plan, directory: Path, kind: str) -> Plan:
     return plan if campaign is None else replace(plan, measured=min(campaign.rows, plan.positions))
 
 
-def measuring_plan(axis: AxisConfig, steps: Sequence[Step], writes: Sequence[Write], *, locked: bool = False) -> Plan:
+def measuring_plan(
+    axis: AxisConfig, steps: Sequence[Step], writes: Sequence[PlannedWrite], *, locked: bool = False
+) -> Plan:
     """The plan of a job that measures these steps along the axis."""
     how = axis.measurement
     targets = [step.target_mm for step in steps]

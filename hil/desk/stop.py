@@ -1,8 +1,8 @@
 """The operator's stop: pressed in any thread, it ends the wait of the thread that owns the axis.
 
 Every wait of every procedure goes through the clock, and the desk's clocks wait here. A stop has the effect of Ctrl-C: the axis is
-quick-stopped, settings are restored, and rows are kept. A second press meanwhile has no effect. `Standstill` is the time and distance
-from the press to the standstill.
+quick-stopped, settings are restored, and rows are kept. A second press meanwhile has no effect. `MeasuredStop` is the time and
+distance from the press to the standstill.
 """
 
 from __future__ import annotations
@@ -111,7 +111,7 @@ class CameToRest:
     way_mm: float
 
 
-class Standstill:
+class MeasuredStop:
     """`pressed` is for any thread, `look` for the one that owns the axis. found: result of the last stop in motion, None before."""
 
     def __init__(self) -> None:

@@ -14,7 +14,7 @@ from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Part
 from hil.diagnosis.model.force import Force, compensated
 from hil.diagnosis.model.intervals import terms_of
-from hil.diagnosis.model.rows import Rows
+from hil.diagnosis.model.rows import ModelRows
 from hil.diagnosis.model.search import Search
 from hil.effects import Action, Effect
 from hil.effects.model import Model
@@ -33,7 +33,7 @@ def fit_model(records: Records, effects: Sequence[Effect] = ()) -> Model:
                 f"effect {effect.id} is never corrected ({effect.action.value}); a model holds what the machine does"
             )
     with threadpool_limits(1, "blas"):
-        rows = Rows(prepare(records))
+        rows = ModelRows(prepare(records))
         search = Search(rows, Catalogue(rows, effects))
         missing = {effect.id for effect in effects}
         parts: list[Part] = []

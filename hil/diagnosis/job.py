@@ -20,7 +20,7 @@ from hil.diagnosis.stored import sources, stored_beside
 from hil.effects.user_effects import attributing_errors, catalogue_with
 from hil.records.rows import Floats, Records
 from hil.ui.report.data import NamedCampaign
-from hil.ui.report.views import View, finding_view, position_view
+from hil.ui.report.views import ResidualView, finding_view, position_view
 from hil.ui.terminal.records_input import read_parts
 
 MOST_POINTS = 1200
@@ -94,7 +94,7 @@ def _along_position(diagnosis: Diagnosis, records: Records) -> dict[str, Any]:
     return {"laid_over": laid_over, "smooth": True}
 
 
-def _curves(view: View) -> dict[str, Any]:
+def _curves(view: ResidualView) -> dict[str, Any]:
     """label, over: names of the x axis and of the effect; residual, laid_over: by direction, points (x, µm) along x
 
     smooth: the effect is a curve along x; else it depends on more than x, and its points are not to be joined

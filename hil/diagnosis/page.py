@@ -17,13 +17,13 @@ from hil.diagnosis.loop.page import draw_loop
 from hil.diagnosis.page_data import Curves, DiagnosisScreen, ShownDiagnosis, ShownFinding, diagnosis_screen
 from hil.ui.report.views import with_unit
 from hil.ui.screen.campaigns import Measurement
-from hil.ui.screen.drawings import Curve, Drawing, Options, curves
-from hil.ui.screen.pieces import Reading, Table, Tabs, measurement_words
+from hil.ui.screen.drawings import Curve, Options, RedrawnChart, curves
+from hil.ui.screen.pieces import FolderContents, ScreenTable, Tabs, measurement_words
 from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import Refresh, View
 
 DIAGNOSE = Work("diagnose", "hil.diagnosis.job:diagnose_campaign")
-Kept = Reading[DiagnosisScreen]
+Kept = FolderContents[DiagnosisScreen]
 MARKS = {1: (5, False), -1: (1, True)}
 """Colour of a direction, and whether its triangle is inverted."""
 SURE = 0.999
@@ -37,7 +37,7 @@ def draw(view: View) -> None:
         view.named(ui.label(view.t("diagnosis.no_instrument")).classes("hil-note"), "diagnosis.no_instrument")
         return
     chosen = {"key": ""}
-    kept: Kept = Reading(view, lambda: diagnosis_screen(axis, chosen["key"]))
+    kept: Kept = FolderContents(view, lambda: diagnosis_screen(axis, chosen["key"]))
     tabs = Tabs(view, "diagnosis", ("campaign", "loop"))
     with tabs.panel("campaign"):
         parts = [_draw_diagnosis(view, kept, chosen)]
@@ -58,7 +58,7 @@ def _draw_diagnosis(view: View, kept: Kept, chosen: dict[str, str]) -> Refresh:
         with ui.element("div").classes("hil-main"):
             parts.append(_draw_verdict(view, kept))
             with view.card("diagnosis.residual", name="diagnosis.residual.card"):
-                residual = Drawing(view, "diagnosis.residual", empty="diagnosis.none_yet")
+                residual = RedrawnChart(view, "diagnosis.residual", empty="diagnosis.none_yet")
     found = view.named(ui.element("div").classes("full-width"), "diagnosis.findings")
     parts.append(_draw_rest(view, kept))
     drawn: list[ShownDiagnosis | None] = []
@@ -265,14 +265,14 @@ def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
             view.named(ui.label(f"{said} · {t.known('diagnosis.action', finding.action)}"), f"{name}.confidence")
             view.named(ui.label(sentence(t, finding)).classes("hil-note"), f"{name}.explanation")
             heads = [f"diagnosis.head.{one}" for one in ("parameter", "value", "std")]
-            parameters = Table(view, f"{name}.parameters", heads)
+            parameters = ScreenTable(view, f"{name}.parameters", heads)
             parameters.show(
                 [
                     [parameter(t, one), t.significant(value), t.significant(std, 2)]
                     for one, value, std in finding.parameters
                 ]
             )
-            rivals = Table(
+            rivals = ScreenTable(
                 view, f"{name}.rivals", [f"diagnosis.head.{one}" for one in ("rival", "separate", "weight")], words=2
             )
             rivals.show(
@@ -286,7 +286,7 @@ def _draw_finding(view: View, number: int, finding: ShownFinding) -> None:
         if finding.curves is not None:
             with view.named(ui.element("section").classes("hil-card"), f"{name}.card"):
                 ui.label(t("diagnosis.along")).classes("hil-name")
-                Drawing(view, f"{name}.curves").show(finding, partial(_options, view, finding.curves))
+                RedrawnChart(view, f"{name}.curves").show(finding, partial(_options, view, finding.curves))
 
 
 def _draw_rest(view: View, kept: Kept) -> Refresh:
@@ -294,7 +294,7 @@ def _draw_rest(view: View, kept: Kept) -> Refresh:
     t = view.t
     with ui.element("div").classes("hil-grid wide"):
         with view.card("diagnosis.blind", name="diagnosis.blind.card"):
-            blind = Table(view, "diagnosis.blind", ["diagnosis.head.effect", "diagnosis.head.why"], words=2)
+            blind = ScreenTable(view, "diagnosis.blind", ["diagnosis.head.effect", "diagnosis.head.why"], words=2)
         with view.card("diagnosis.notes", name="diagnosis.notes.card"):
             notes = view.named(ui.label("–").style("white-space: pre-line"), "diagnosis.notes")
     drawn: list[ShownDiagnosis | None] = []

@@ -21,7 +21,7 @@ from hil.drive_table.job import (
     remove,
     require_description,
 )
-from hil.drive_table.proof import Proof
+from hil.drive_table.proof import TableProof
 from hil.drive_table.quantise import DriveTable
 from hil.machine.wiring import connected, connected_drive, predicted_table_s
 from hil.ui.terminal.axis_options import load_stored, open_store, tell_bench
@@ -56,7 +56,7 @@ def made_facts(made: DriveTable) -> dict[str, str]:
     }
 
 
-def print_proof(proof: Proof | None) -> None:
+def print_proof(proof: TableProof | None) -> None:
     """Prints the proof position by position, and the verdict."""
     if proof is None:
         print("not proven: no proof was requested (--prove-by)")

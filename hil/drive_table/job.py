@@ -26,7 +26,7 @@ from hil.drive_table.change import (
     zero_note,
 )
 from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
-from hil.drive_table.proof import Proof, ProofMotion, prove_by_drive, prove_by_instrument
+from hil.drive_table.proof import ProofMotion, TableProof, prove_by_drive, prove_by_instrument
 from hil.drive_table.quantise import DriveTable, drive_table, wanted_of
 from hil.drive_table.result import DriveTableResult
 from hil.machine.events import Listener, silent
@@ -170,7 +170,7 @@ def held(axis: DriveAxis, drive: ServoDrive) -> Held:
     return Held(table.description, found, curve, remembered_zero(zero_note(axis), found.raw))
 
 
-def _prove(there: ConnectedAxis, stored: Stored, how: Proving) -> Proof | None:
+def _prove(there: ConnectedAxis, stored: Stored, how: Proving) -> TableProof | None:
     axis, targets, measuring = there.axis, how.targets_mm(there.axis), there.axis.measurement
     if how.by == "nothing":
         return None

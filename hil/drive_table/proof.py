@@ -48,7 +48,7 @@ class PositionDifference:
 
 
 @dataclass(frozen=True)
-class Proof:
+class TableProof:
     """Agreement of the two corrections. u95_um: of each difference, so that all hold together with 95 % (Bonferroni).
 
     measured: by the instrument, else by the value the drive reports
@@ -111,7 +111,7 @@ def prove_by_instrument(
     *,
     runs: int = 2,
     tolerance_um: float = TOLERANCE_UM,
-) -> Proof:
+) -> TableProof:
     """Measures on an entered session; afterwards the drive's switch is restored and the axis is without power.
 
     targets_mm: positions; runs: of each block, up and down. Raises CapabilityError for a drive without a described
@@ -162,7 +162,7 @@ def _left_as_found(session: AxisSession, table: CorrectionTable) -> Iterator[Non
     leave()
 
 
-def proof_of(blocks: dict[str, Records], tolerance_um: float) -> Proof:
+def proof_of(blocks: dict[str, Records], tolerance_um: float) -> TableProof:
     """Differences of the means, with their uncertainty from the scatter of single runs, which includes the drift
     between blocks.
     """
@@ -181,7 +181,7 @@ def proof_of(blocks: dict[str, Records], tolerance_um: float) -> Proof:
             counts = min(counts, 1.0 / (1.0 / len(mine) + 1.0 / len(theirs)))
     std_um = math.sqrt(squares / degrees) if degrees else math.nan
     quantile = float(scipy.special.stdtrit(degrees, 1.0 - 0.05 / (2 * len(places)))) if degrees else math.nan
-    return Proof(tuple(places), quantile * std_um / math.sqrt(counts), tolerance_um, measured=True)
+    return TableProof(tuple(places), quantile * std_um / math.sqrt(counts), tolerance_um, measured=True)
 
 
 def _errors(blocks: dict[str, Records], who: str, target_mm: float, direction: int) -> tuple[Floats, Floats]:
@@ -213,7 +213,7 @@ def prove_by_drive(
     listener: Listener = silent,
     *,
     tolerance_um: float = TOLERANCE_UM,
-) -> Proof:
+) -> TableProof:
     """Reads at each target the value that the drive adds. The axis is supervised and ends disabled; the drive's switch
     is restored.
 
@@ -245,7 +245,7 @@ def prove_by_drive(
         raise
     drive.disable()
     table.switch(was_on)
-    return Proof(tuple(places), curve.step_um / 2, tolerance_um, measured=False)
+    return TableProof(tuple(places), curve.step_um / 2, tolerance_um, measured=False)
 
 
 def bidirectional_targets(targets_mm: Sequence[float], overrun_mm: float) -> list[tuple[float, int | None]]:

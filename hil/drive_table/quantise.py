@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
+from drivers.correction_table import Directions, Interpolation, Nodes, Outside, RawFormat, RawTable, TableDescription
 from drivers.errors import InputError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
@@ -239,7 +239,7 @@ def _whole(values_um: Floats, description: TableDescription, value_um: float) ->
     return raw
 
 
-def _require_inside(raw: Sequence[int], quantity: Quantity, what: str, unit_um: float, advice: str) -> None:
+def _require_inside(raw: Sequence[int], quantity: RawFormat, what: str, unit_um: float, advice: str) -> None:
     for number in raw:
         if not quantity.low <= number <= quantity.high:
             raise InputError(

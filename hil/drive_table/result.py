@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hil.desk.result import Result
 
 if TYPE_CHECKING:  # a script's names load without what measures
-    from hil.drive_table.proof import Proof
+    from hil.drive_table.proof import TableProof
     from hil.drive_table.quantise import DriveTable
 
 
@@ -17,7 +17,7 @@ class DriveTableResult(Result):
     """A table that was written into the drive, or proven there. deviation_um: largest difference from the stored tables, by its
     numbers; undone: the drive has its earlier table again."""
 
-    proof: Proof | None
+    proof: TableProof | None
     deviation_um: float
     made: DriveTable | None = None
     undone: bool = False

@@ -90,7 +90,7 @@ def _inflation(position_mm: Floats) -> float:
 
 
 @dataclass(frozen=True)
-class Creep:
+class WindowCreep:
     """Change of the straight line over a window, and its standard deviation."""
 
     change_um: float
@@ -101,13 +101,13 @@ class Creep:
         return abs(self.change_um) <= tolerance_um + 2.0 * self.std_um
 
 
-def creep(time_s: Floats, position_mm: Floats) -> Creep:
+def creep(time_s: Floats, position_mm: Floats) -> WindowCreep:
     """Of positions (mm) at times (s), both shape (n,). Fewer than four readings, or all at one time, give infinite
     uncertainty.
     """
     spread = time_s - time_s.mean() if len(time_s) else time_s
     if len(time_s) < 4 or not np.any(spread):
-        return Creep(0.0, math.inf)
+        return WindowCreep(0.0, math.inf)
     kept = ~outliers(position_mm)
     time, position = time_s[kept], position_mm[kept] * UM_PER_MM
     time = time - time.mean()
@@ -116,4 +116,4 @@ def creep(time_s: Floats, position_mm: Floats) -> Creep:
     residual = position - position.mean() - slope * time
     span = float(np.ptp(time))
     std = math.sqrt(float(residual @ residual) / (len(time) - 2) / sum_of_squares) * span
-    return Creep(slope * span, std)
+    return WindowCreep(slope * span, std)

@@ -17,7 +17,7 @@ CANOPEN = "canopen"
 
 
 @dataclass(frozen=True)
-class Question:
+class AxisFileQuestion:
     """What only the user knows, or the drive may say. numbers: how many, joined by a comma."""
 
     option: str
@@ -44,14 +44,14 @@ class Question:
         return values
 
 
-TRAVEL = Question("--travel", "LOW,HIGH", "where the table may go, mm", 2)
-VELOCITY = Question("--max-velocity", "MM_S", "largest speed of the table, mm/s")
-ACCELERATION = Question("--max-acceleration", "MM_S2", "greatest acceleration of the table, mm/s²")
-COUNTS = Question("--counts-per-rev", "N", "position counts of the drive per turn of the motor")
-FEED = Question("--feed", "MM", "travel of the table per turn of the screw, mm")
-GEAR = Question("--gear", "N", "turns of the motor per turn of the screw, such as 5/2")
-PORT = Question("--instrument-port", "PORT", "the instrument's port")
-LIMIT = Question("--accuracy-limit", "UM", "largest accuracy A that is allowed, µm")
+TRAVEL = AxisFileQuestion("--travel", "LOW,HIGH", "where the table may go, mm", 2)
+VELOCITY = AxisFileQuestion("--max-velocity", "MM_S", "largest speed of the table, mm/s")
+ACCELERATION = AxisFileQuestion("--max-acceleration", "MM_S2", "greatest acceleration of the table, mm/s²")
+COUNTS = AxisFileQuestion("--counts-per-rev", "N", "position counts of the drive per turn of the motor")
+FEED = AxisFileQuestion("--feed", "MM", "travel of the table per turn of the screw, mm")
+GEAR = AxisFileQuestion("--gear", "N", "turns of the motor per turn of the screw, such as 5/2")
+PORT = AxisFileQuestion("--instrument-port", "PORT", "the instrument's port")
+LIMIT = AxisFileQuestion("--accuracy-limit", "UM", "largest accuracy A that is allowed, µm")
 QUESTIONS = (TRAVEL, VELOCITY, ACCELERATION, COUNTS, FEED, GEAR, PORT, LIMIT)
 
 USUAL_LIMIT_UM = "10"
@@ -74,14 +74,14 @@ class Answers:
     args: argparse.Namespace
     found: dict[str, tuple[str, str]] = field(default_factory=dict)
 
-    def need(self, question: Question, read: Any = None, usual: str | None = None) -> tuple[str, str]:
+    def need(self, question: AxisFileQuestion, read: Any = None, usual: str | None = None) -> tuple[str, str]:
         """The answer and where it is from: the option, else the drive, else what is usual, else the user at a terminal. Raises
         InputError."""
         if question.name not in self.found:
             self.found[question.name] = self._answer(question, read, usual)
         return self.found[question.name]
 
-    def _answer(self, question: Question, read: Any, usual: str | None) -> tuple[str, str]:
+    def _answer(self, question: AxisFileQuestion, read: Any, usual: str | None) -> tuple[str, str]:
         given = getattr(self.args, question.name)
         if given is not None:
             return given, "as you gave it"

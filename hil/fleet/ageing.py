@@ -42,7 +42,7 @@ _SPREAD = 1.0 / NormalDist().inv_cdf(0.75)  # of the median absolute deviation o
 
 
 @dataclass(frozen=True)
-class Series:
+class AxisSeries:
     """The values of one quantity of one axis, in the order of time, shape (n,) each. std: NaN for none; what: kind
     and pass"""
 
@@ -69,7 +69,7 @@ class Series:
 
 def series_of(
     rows: Iterable[Mapping[str, Any]], quantities: Sequence[str], since: datetime | None = None
-) -> list[Series]:
+) -> list[AxisSeries]:
     """The series of an index's results. quantities: which; since: older values are left out. Of each axis and
     quantity the kind and pass that there is most of; the newest of equals.
     """
@@ -86,7 +86,7 @@ def series_of(
         what, own = max(by_pass.items(), key=lambda item: (len(item[1]), max(row["begun"] for row in item[1]), item[0]))
         lines = sorted(own, key=lambda row: (row["begun"], row["campaign"]))
         found.append(
-            Series(
+            AxisSeries(
                 axis,
                 quantity,
                 what,
@@ -112,7 +112,7 @@ class Aged:
     noise: scatter from campaign to campaign beside a straight line, standard deviation
     """
 
-    series: Series
+    series: AxisSeries
     watched: Watched
     level: float
     level_u: float
@@ -148,7 +148,7 @@ class FleetTrend:
     """
 
     aged: tuple[Aged, ...]
-    short: tuple[Series, ...]
+    short: tuple[AxisSeries, ...]
     looks_per_year: float
     threshold: float
     run_length: float
@@ -177,7 +177,7 @@ class FleetTrend:
         )
 
 
-def trends(series: Sequence[Series], false_per_year: float = FALSE_PER_YEAR) -> FleetTrend:
+def trends(series: Sequence[AxisSeries], false_per_year: float = FALSE_PER_YEAR) -> FleetTrend:
     """Watch all series. Raises InputError for a rate that is not above 0."""
     if not false_per_year > 0.0:
         raise InputError(f"false alarms a year are {false_per_year:g}, expected more than 0")
@@ -192,7 +192,7 @@ def trends(series: Sequence[Series], false_per_year: float = FALSE_PER_YEAR) -> 
     return FleetTrend(tuple(aged), short, looks, threshold, run_length, false_per_year, remembered, std)
 
 
-def looks_per_year(series: Sequence[Series]) -> float:
+def looks_per_year(series: Sequence[AxisSeries]) -> float:
     """How often a year any CUSUM gets a value: those of the last year, or of the time there is, at least a month."""
     if not series:
         return 0.0
@@ -205,7 +205,7 @@ def looks_per_year(series: Sequence[Series]) -> float:
     return count * YEAR_S / span_s
 
 
-def _aged(series: Series, threshold: float, better_at: float) -> Aged:
+def _aged(series: AxisSeries, threshold: float, better_at: float) -> Aged:
     watched = watch(series.value, threshold, series.std, either=series.about.either, better_at=better_at)
     alarm = watched.standing
     since = watched.begun if alarm is None else alarm.onset
@@ -231,7 +231,7 @@ class Unlike:
     """An axis beside the others in one quantity. deviation: from their median in their spread; unlike: beyond
     `limit`; for_worse: on the side that is"""
 
-    series: Series
+    series: AxisSeries
     level: float
     level_u: float
     deviation: float
@@ -239,7 +239,7 @@ class Unlike:
 
 
 @dataclass(frozen=True)
-class Compared:
+class ComparedAxes:
     """One quantity over all axes, the worst first. median, spread: of the levels, the spread by the median absolute
     deviation; limit: of a deviation, in spreads, NaN with too few axes"""
 
@@ -250,7 +250,7 @@ class Compared:
     limit: float
 
 
-def compare(series: Sequence[Series]) -> list[Compared]:
+def compare(series: Sequence[AxisSeries]) -> list[ComparedAxes]:
     """Each axis's present level beside those of the others, quantity by quantity.
 
     The limit is such that in a fleet of like axes, normally spread, one is called unlike in at most `FALSE_PER_LOOK` of
@@ -272,7 +272,7 @@ def compare(series: Sequence[Series]) -> list[Compared]:
             away = abs(away) if either else away
             rows.append(Unlike(one, level, u, away, away > limit))
         rows.sort(key=lambda one: one.deviation, reverse=True)
-        found.append(Compared(quantity, tuple(rows), median, spread, limit))
+        found.append(ComparedAxes(quantity, tuple(rows), median, spread, limit))
     return found
 
 

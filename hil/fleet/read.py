@@ -21,7 +21,7 @@ from drivers.errors import BridgeError, InputError
 from drivers.files import read_text
 from drivers.undo import one_line
 from hil.figures.history import REPLAY, Pass, read_campaign
-from hil.fleet.values import Value, is_result, of_pass, of_result, of_torque_file
+from hil.fleet.values import FleetValue, is_result, of_pass, of_result, of_torque_file
 from hil.records.files import parse_json
 from hil.records.journal import MARKER
 from hil.records.rows import REQUIRED, Records
@@ -175,7 +175,7 @@ def _campaign(place: Place, found: _Read) -> None:
     campaign = read_campaign(place.path)
     replayed, axis = campaign.kind == REPLAY, axis_of(place, campaign.axis)
     why: list[str] = []
-    values: list[tuple[Value, datetime]] = []
+    values: list[tuple[FleetValue, datetime]] = []
     tables: list[pa.Table] = []
     for one in campaign.passes:
         if one.state == "torn":
@@ -213,7 +213,7 @@ def _campaign(place: Place, found: _Read) -> None:
     ]
 
 
-def _value(place: Place, axis: str, kind: str, begun: datetime, value: Value) -> dict[str, Any]:
+def _value(place: Place, axis: str, kind: str, begun: datetime, value: FleetValue) -> dict[str, Any]:
     return {
         "campaign": place.name,
         "axis": axis,

@@ -12,7 +12,7 @@ from matplotlib.dates import AutoDateLocator, ConciseDateFormatter, date2num
 from matplotlib.figure import FigureBase
 from matplotlib.ticker import MaxNLocator
 
-from hil.fleet.ageing import Aged, Compared, FleetTrend
+from hil.fleet.ageing import Aged, ComparedAxes, FleetTrend
 from hil.fleet.causes import Cause, counted
 from hil.fleet.values import QUANTITIES
 from hil.fleet.words import (
@@ -25,7 +25,7 @@ from hil.fleet.words import (
     compare_rule,
     trend_row,
 )
-from hil.ui.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragraph, Span, Table, said
+from hil.ui.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragraph, ReportTable, TextSpan, said
 from hil.ui.report.document import html
 from hil.ui.report.markup import header, page, significant
 from hil.ui.report.svg import RC, Ground, Theme, figure_on, label_axes
@@ -45,14 +45,14 @@ def render_trend(found: FleetTrend, under: str, unread: Sequence[str]) -> str:
     alarms = found.alarms
     lead = f"{len(alarms)} of {len(found.aged)} series alarm." if alarms else f"No alarm in {len(found.aged)} series."
     blocks: list[Block] = [
-        Paragraph((Span(lead, "strong"),), "callout" if alarms else ""),
+        Paragraph((TextSpan(lead, "strong"),), "callout" if alarms else ""),
         said(f"{found.stated()}.", "muted"),
     ]
     if found.remembers:
         blocks.append(said(MEMORY.format(found.memory, 2.0 * found.memory_std), "callout"))
     drawn = found.aged[: max(len(alarms), 1)][:MOST_DRAWN]
     blocks.append(Heading("What to look at first"))
-    blocks.append(Table(TREND_HEAD, tuple(map(trend_row, found.aged[:MOST_ROWS])), "words"))
+    blocks.append(ReportTable(TREND_HEAD, tuple(map(trend_row, found.aged[:MOST_ROWS])), "words"))
     if len(found.aged) > MOST_ROWS:
         blocks.append(said(f"{len(found.aged) - MOST_ROWS} more are in the JSON.", "muted"))
     for at, one in enumerate(drawn, 1):
@@ -116,7 +116,7 @@ def _dates(ax: Axes) -> None:
     ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
 
 
-def render_compare(found: Sequence[Compared], under: str, unread: Sequence[str]) -> str:
+def render_compare(found: Sequence[ComparedAxes], under: str, unread: Sequence[str]) -> str:
     """The page of `hil fleet compare`."""
     blocks: list[Block] = []
     for one in found:
@@ -139,12 +139,12 @@ def render_compare(found: Sequence[Compared], under: str, unread: Sequence[str])
             Facts(facts),
             said(compare_rule(one), "muted"),
             drawing,
-            Table(compare_head(one), rows, "words"),
+            ReportTable(compare_head(one), rows, "words"),
         ]
     return _page("Axes beside each other", under, [*blocks, *_left_out(unread, ())])
 
 
-def compare_figure(one: Compared, theme: Theme, ground: Ground) -> FigureBase:
+def compare_figure(one: ComparedAxes, theme: Theme, ground: Ground) -> FigureBase:
     """The levels of all axes in order of size."""
     with mpl.rc_context(RC):
         figure = figure_on(ground, 9.6, 3.2)
@@ -180,7 +180,7 @@ def render_causes(causes: Sequence[Cause], under: str, unread: Sequence[str]) ->
             Drawing("causes", "causes", draw, "Causes over the fleet", caption),
         ]
     rows = tuple(map(causes_row, causes[:MOST_ROWS]))
-    blocks += [Heading("Axis by axis"), Table(causes_head(), rows, "words")]
+    blocks += [Heading("Axis by axis"), ReportTable(causes_head(), rows, "words")]
     said_of = tuple(f"{one.task.axis}: {one.explanation}" for one in causes[:MOST_ROWS] if one.explanation)
     blocks += [Heading("In words"), Bullets(said_of, "remarks")] if said_of else []
     return _page("Causes over the fleet", under, [*blocks, *_left_out(unread, ())])

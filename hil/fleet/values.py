@@ -70,7 +70,7 @@ _COEFFICIENTS = {
 
 
 @dataclass(frozen=True)
-class Value:
+class FleetValue:
     """One value of one pass or result. std: standard uncertainty by its own repeats or fit, NaN for none; of: how
     many runs or reversals it is from; source: pass or file; temp_c: mean temperature, NaN for none"""
 
@@ -82,7 +82,7 @@ class Value:
     temp_c: float = math.nan
 
 
-def of_pass(records: Records, source: str) -> list[Value]:
+def of_pass(records: Records, source: str) -> list[FleetValue]:
     """The values of one pass; none of records that are no positioning test."""
     found = list(_friction(records, source))
     try:
@@ -97,7 +97,7 @@ def of_pass(records: Records, source: str) -> list[Value]:
     for name in ("A", "E", "R"):
         value = known[name]
         if value is not None:
-            found.append(Value(f"{name}_um", value, std_A if name == "A" else math.nan, figures.n, source, mean_c))
+            found.append(FleetValue(f"{name}_um", value, std_A if name == "A" else math.nan, figures.n, source, mean_c))
     if figures.B_mean is not None:
         found.append(_backlash(records, own, figures, source, mean_c))
     if runs is not None:
@@ -151,18 +151,18 @@ def _without_one(errors_um: Mapping[int, Floats], figure: Any) -> float:
     return math.sqrt((n - 1) / n * float(np.sum((left - left.mean()) ** 2)))
 
 
-def _backlash(records: Records, own: Mapping[int, Floats], figures: Iso230, source: str, mean_c: float) -> Value:
+def _backlash(records: Records, own: Mapping[int, Floats], figures: Iso230, source: str, mean_c: float) -> FleetValue:
     """Mean reversal value of the uncorrected axis, positive where motion is lost (−B̄ of measured − command), by the
     runs' own values."""
     if len(own) == 2:
         each_um = -(own[1] - own[-1]).mean(axis=0)
         n = len(each_um)
         std = float(each_um.std(ddof=1)) / math.sqrt(n) if n > 1 else math.nan
-        return Value("backlash_um", float(each_um.mean()), std, n, source, mean_c)
+        return FleetValue("backlash_um", float(each_um.mean()), std, n, source, mean_c)
     error_um, up = records.uncorrected_error_um, records.direction > 0
     key = np.round(records.target_mm / TARGET_RESOLUTION_MM)
     ways = [error_um[up & (key == one)].mean() - error_um[~up & (key == one)].mean() for one in np.unique(key)]
-    return Value("backlash_um", -float(np.mean(ways)), math.nan, figures.n, source, mean_c)
+    return FleetValue("backlash_um", -float(np.mean(ways)), math.nan, figures.n, source, mean_c)
 
 
 def _stretch(
@@ -174,14 +174,14 @@ def _stretch(
     place: str,
     source: str,
     mean_c: float,
-) -> Iterator[Value]:
+) -> Iterator[FleetValue]:
     """The scale error, and how it follows the temperature from run to run."""
     error_um = np.asarray(sum(own.values())) / len(own)
     away_m = (target_mm - target_mm.mean()) / 1000.0
     scale_ppm = away_m @ error_um / float(away_m @ away_m)
     n = len(runs)
     std = float(scale_ppm.std(ddof=1)) / math.sqrt(n) if n > 1 else math.nan
-    yield Value("scale_ppm", float(scale_ppm.mean()), std, n, source, mean_c)
+    yield FleetValue("scale_ppm", float(scale_ppm.mean()), std, n, source, mean_c)
     if not place or n < LEAST_RUNS:
         return
     with_temp = [records[place][records.run == run] for run in runs]
@@ -195,10 +195,10 @@ def _stretch(
     slope = float(away_k @ scale_ppm) / total
     left = scale_ppm - scale_ppm.mean() - slope * away_k
     std = math.sqrt(float(left @ left) / (n - 2) / total)
-    yield Value("expansion_ppm_per_k", slope, std, n, source, mean_c)
+    yield FleetValue("expansion_ppm_per_k", slope, std, n, source, mean_c)
 
 
-def _friction(records: Records, source: str) -> Iterator[Value]:
+def _friction(records: Records, source: str) -> Iterator[FleetValue]:
     """Half the difference of the torques in both directions, of rows in motion, by runs: the weight of a vertical
     axis cancels."""
     if "torque_percent" not in records or "velocity_mm_s" not in records:
@@ -212,7 +212,7 @@ def _friction(records: Records, source: str) -> Iterator[Value]:
             each.append(float(up.mean() - down.mean()) / 2.0)
     if each:
         std = float(np.std(each, ddof=1)) / math.sqrt(len(each)) if len(each) > 1 else math.nan
-        yield Value("friction_torque_percent", float(np.mean(each)), std, len(each), source)
+        yield FleetValue("friction_torque_percent", float(np.mean(each)), std, len(each), source)
 
 
 # -- stored results ----------------------------------------------------------------------------------------------------
@@ -225,7 +225,7 @@ def is_result(name: str) -> bool:
     return name == RESULT or name.endswith(STORED)
 
 
-def of_result(path: Path) -> list[Value]:
+def of_result(path: Path) -> list[FleetValue]:
     """The values of a stored result. Raises InputError for a file that holds none."""
     try:
         form = parse_json(read_text(path))
@@ -239,7 +239,7 @@ def of_result(path: Path) -> list[Value]:
             raise InputError("holds no lost motion, expected parameters.amount_um", path=path)
         reversals = form.get("reversals")
         count = len(reversals) if isinstance(reversals, list) else 0
-        return [Value("lost_motion_um", *value, count, path.name)]
+        return [FleetValue("lost_motion_um", *value, count, path.name)]
     found = []
     findings = form.get("findings")
     if not isinstance(findings, list):
@@ -248,7 +248,7 @@ def of_result(path: Path) -> list[Value]:
         for (effect, parameter), quantity in _COEFFICIENTS.items():
             if isinstance(one, dict) and one.get("effect") == effect:
                 value = _estimate(one.get("parameters"), parameter)
-                found += [] if value is None else [Value(quantity, *value, 1, path.name)]
+                found += [] if value is None else [FleetValue(quantity, *value, 1, path.name)]
     return found
 
 
@@ -271,7 +271,7 @@ TORQUE_FILE = re.compile(r"backlash-\d+\.jsonl")
 class TorqueFile:
     """A measurement by torque. axis, begun: as it states them, "" where it is from before that was stated"""
 
-    values: list[Value]
+    values: list[FleetValue]
     axis: str
     begun: str
 
@@ -303,9 +303,9 @@ def of_torque_file(path: Path) -> TorqueFile:
     values = []
     lost = fitted_lost_motion(reversals, REVERSALS.get(asked, REVERSALS["both"]))
     if lost is not None:
-        values.append(Value("torque_lost_motion_um", lost.mean_um, lost.u95_um / 1.96, len(reversals), path.name))
+        values.append(FleetValue("torque_lost_motion_um", lost.mean_um, lost.u95_um / 1.96, len(reversals), path.name))
     levels = np.array([one.fitted.level_percent for one in reversals if one.fitted is not None])
     if len(levels):
         std = float(levels.std(ddof=1)) / math.sqrt(len(levels)) if len(levels) > 1 else math.nan
-        values.append(Value("friction_torque_percent", float(levels.mean()), std, len(levels), path.name))
+        values.append(FleetValue("friction_torque_percent", float(levels.mean()), std, len(levels), path.name))
     return TorqueFile(values, axis, begun)

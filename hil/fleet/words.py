@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from hil.fleet.ageing import FALSE_PER_LOOK, MONTH_DAYS, Aged, Compared, FleetTrend, Unlike
+from hil.fleet.ageing import FALSE_PER_LOOK, MONTH_DAYS, Aged, ComparedAxes, FleetTrend, Unlike
 from hil.fleet.causes import Cause
 from hil.fleet.values import QUANTITIES
 
@@ -104,18 +104,18 @@ def _series_json(one: Aged) -> dict[str, Any]:
     }
 
 
-def compare_head(one: Compared) -> tuple[str, ...]:
+def compare_head(one: ComparedAxes) -> tuple[str, ...]:
     return ("axis", "of", f"{QUANTITIES[one.quantity].title} ± U", "from the median, in spreads", "unlike the others")
 
 
-def compare_row(each: Unlike, one: Compared) -> tuple[str, ...]:
+def compare_row(each: Unlike, one: ComparedAxes) -> tuple[str, ...]:
     """The cells of an axis under `compare_head`."""
     unit = QUANTITIES[one.quantity].unit
     said = "–" if math.isnan(one.limit) else "yes" if each.unlike else "no"
     return (each.series.axis, each.series.what, with_u(each.level, each.level_u, unit), number(each.deviation), said)
 
 
-def compare_rule(one: Compared) -> str:
+def compare_rule(one: ComparedAxes) -> str:
     """The rule of a comparison in a sentence."""
     if math.isnan(one.limit):
         return f"{len(one.axes)} axes are too few to call one unlike the others."
@@ -125,7 +125,7 @@ def compare_rule(one: Compared) -> str:
     )
 
 
-def compare_json(one: Compared) -> dict[str, Any]:
+def compare_json(one: ComparedAxes) -> dict[str, Any]:
     """The machine-readable result of a comparison."""
     return {
         "quantity": one.quantity,

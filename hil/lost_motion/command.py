@@ -11,7 +11,7 @@ from drivers.errors import InputError
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
-from hil.correction.rise import RUNNABLE, Rise, Shape, rise_of
+from hil.correction.rise import RUNNABLE, Rise, RiseShape, rise_of
 from hil.correction.store import SealedStore, bound_tables
 from hil.effects.user_effects import catalogue_with
 from hil.lost_motion.command_options import SHAPES
@@ -30,7 +30,7 @@ def run(args: argparse.Namespace) -> int:
     how = lost_motion_config(axis)
     if args.shape and args.typed:
         raise InputError("--shape and --typed exclude one another: typed values are of two tanh terms")
-    asked: Rise | Shape | None = None if args.typed is None else rise_of(args.typed)
+    asked: Rise | RiseShape | None = None if args.typed is None else rise_of(args.typed)
     if args.shape:
         asked = next(shape for shape in RUNNABLE if shape.name == SHAPES[args.shape])
     if args.dry_run:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from drivers.errors import InputError
-from hil.correction.rise import RUNNABLE, TWO_TANH, Rise, Shape
+from hil.correction.rise import RUNNABLE, TWO_TANH, Rise, RiseShape
 from hil.lost_motion.fit import Contender, MeasuredReversal, as_stated, compete, uncertainties
 
 STILL_RISING_SHARE = 0.03
@@ -32,7 +32,7 @@ class Uncertain:
 
 
 @dataclass(frozen=True)
-class Estimate:
+class ReversalFit:
     """The result of the fit to some reversals.
 
     rise: over the load's travel; parameters: of it, and published: of the two tanh terms, by name with standard
@@ -103,8 +103,11 @@ class Estimate:
 
 
 def estimate(
-    reversals: Sequence[MeasuredReversal], shortest_mm: float, asked: Shape | Rise | None = None, noise_um: float = 0.0
-) -> Estimate:
+    reversals: Sequence[MeasuredReversal],
+    shortest_mm: float,
+    asked: RiseShape | Rise | None = None,
+    noise_um: float = 0.0,
+) -> ReversalFit:
     """The rise of these reversals, from which the errors of position have been removed.
 
     shortest_mm: shortest rise length; asked: the shape asked for, or a rise with its parameters, over the load's travel; None for two
@@ -121,7 +124,9 @@ def estimate(
     if isinstance(asked, Rise):
         contenders = (as_stated(asked, by_load), *contenders)
         parameters = {name: Uncertain(value, 0.0) for name, value in _values(asked).items()}
-        return Estimate(asked, parameters, published, contenders, tuple(reversals), late_um, asked_for=True, typed=True)
+        return ReversalFit(
+            asked, parameters, published, contenders, tuple(reversals), late_um, asked_for=True, typed=True
+        )
     best = contenders[0]
     if asked is not None:
         best = next(one for one in contenders if one.fitted.shape is asked)
@@ -129,10 +134,10 @@ def estimate(
         best = two_tanh
     rise = best.fitted.rise
     parameters = published if best is two_tanh else uncertain(rise, by_load, shortest_mm)
-    return Estimate(rise, parameters, published, contenders, tuple(reversals), late_um, asked is not None)
+    return ReversalFit(rise, parameters, published, contenders, tuple(reversals), late_um, asked is not None)
 
 
-def with_two_tanh(found: Estimate) -> Estimate:
+def with_two_tanh(found: ReversalFit) -> ReversalFit:
     """The same measurement with the two tanh terms fitted to it in place of the shape taken."""
     rise = next(one.fitted.rise for one in found.contenders if one.fitted.shape is TWO_TANH)
     return replace(found, rise=rise, parameters=found.published)

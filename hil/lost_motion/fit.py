@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from drivers.errors import InputError
-from hil.correction.rise import SHAPES, Rise, Shape
+from hil.correction.rise import SHAPES, Rise, RiseShape
 from hil.figures.error_figures import rms
 from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, standard_uncertainties
 from hil.records.rows import Floats
@@ -104,7 +104,7 @@ class Fitted:
     table_um_per_mm: float = 0.0
 
     @property
-    def shape(self) -> Shape:
+    def shape(self) -> RiseShape:
         return self.rise.shape
 
     def rise_um(self, travel_mm: Floats) -> Floats:
@@ -165,7 +165,9 @@ class _Rows:
         return np.asarray(fitted.rise_um(self.travel_mm) - self.risen_um, dtype=np.float64)
 
 
-def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True) -> Fitted:
+def fit(
+    shape: RiseShape, reversals: Sequence[MeasuredReversal], shortest_mm: float = 0.0, table: bool = True
+) -> Fitted:
     """The shape closest to all rows of the reversals, with no rise shorter than shortest_mm. Raises InputError without
     reversals.
 
@@ -175,7 +177,7 @@ def fit(shape: Shape, reversals: Sequence[MeasuredReversal], shortest_mm: float 
 
 
 def compete(
-    reversals: Sequence[MeasuredReversal], block_mm: float, shapes: Sequence[Shape] = SHAPES, table: bool = True
+    reversals: Sequence[MeasuredReversal], block_mm: float, shapes: Sequence[RiseShape] = SHAPES, table: bool = True
 ) -> tuple[Contender, ...]:
     """The shapes by cross-validation, the one with the least held-out RMS first.
 
@@ -224,7 +226,7 @@ def uncertainties(
     return standard_uncertainties(rise, rows.places, length_bounds(float(rows.travel_mm.max()), shortest_mm))
 
 
-def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool) -> Fitted:
+def _fit(shape: RiseShape, rows: _Rows, shortest_mm: float, table: bool) -> Fitted:
     seen = rows.where(slice(None, None, max(1, len(rows.travel_mm) // FIT_ROWS)))
     s, y, w = seen.travel_mm, seen.risen_um, seen.weight
     span = float(s.max())
@@ -249,7 +251,7 @@ def _fit(shape: Shape, rows: _Rows, shortest_mm: float, table: bool) -> Fitted:
 
 
 def _lengths(
-    shape: Shape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], bounds: LengthBounds, span: float
+    shape: RiseShape, solved: Callable[[Sequence[float]], tuple[Floats, Floats]], bounds: LengthBounds, span: float
 ) -> tuple[float, ...]:
     """The lengths with the least squares: searched from the best start for each onset, since there are several local
     minima.

@@ -12,10 +12,10 @@ from drivers.errors import StateError
 from hil.axis.axis_file import AxisConfig
 from hil.axis.lost_motion import LostMotionConfig, default_lost_motion
 from hil.correction.compensation import Compensation
-from hil.correction.rise import Rise, Shape
+from hil.correction.rise import Rise, RiseShape
 from hil.correction.store import SealedStore, bound_tables, compensation_in_force
 from hil.desk.job import Job, Workplace, tell_unchecked
-from hil.desk.plan import Move, Plan, Write, going_on
+from hil.desk.plan import Move, Plan, PlannedWrite, going_on
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.procedure import NoLostMotionError, measure_lost_motion, proof_steps, stroke_steps
@@ -40,8 +40,8 @@ def measuring_plan(axis: AxisConfig, how: LostMotionConfig, seed: int = 1, *, st
     """The moves and writes of a measurement."""
     velocity = axis.measurement.velocity_mm_s
     moves = [Move(what, how.low_mm, how.high_mm, velocity) for what in ("strokes", "proof")]
-    writes = [Write("rows", str(axis.store.directory))]
-    writes += [Write("lost_motion", str(axis.tables_path))] if store else []
+    writes = [PlannedWrite("rows", str(axis.store.directory))]
+    writes += [PlannedWrite("lost_motion", str(axis.tables_path))] if store else []
     return Plan(
         axis.name,
         axis.drive.backend,
@@ -62,7 +62,7 @@ def run_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
-    asked: Shape | Rise | None = None,
+    asked: RiseShape | Rise | None = None,
     resume: bool = False,
     computing: Computing = at_once,
 ) -> ReversalResult:
@@ -165,5 +165,5 @@ def store_job(axis: AxisConfig, measured: ReversalResult) -> Job:
         store_measured(place.opened_store(), measured)
         return replace(measured, stored=True)
 
-    writes = (Write("lost_motion", str(axis.tables_path)),)
+    writes = (PlannedWrite("lost_motion", str(axis.tables_path)),)
     return Job(STORE, Plan(axis.name, axis.drive.backend, writes=writes, locked=True), work)

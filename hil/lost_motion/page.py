@@ -17,8 +17,17 @@ from hil.lost_motion.estimate import separately_determined
 from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.page_data import KeptLostMotion, kept_lost_motion, lost_motion_screen, proof_points, rise_curves
 from hil.records.rows import UM_PER_MM
-from hil.ui.screen.drawings import Curve, Drawing, Options, curves
-from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
+from hil.ui.screen.drawings import Curve, Options, RedrawnChart, curves
+from hil.ui.screen.pieces import (
+    FolderContents,
+    Latest,
+    ScreenTable,
+    Steps,
+    draw_ready,
+    draw_where,
+    lead,
+    measured_checks,
+)
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
 from hil.ui.screen.view import Refresh, View
@@ -35,7 +44,7 @@ def draw(view: View) -> None:
     interrupted = draw_unfinished(view, "lost_motion", ways)
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
-            kept = Reading(view, partial(kept_lost_motion, axis))
+            kept = FolderContents(view, partial(kept_lost_motion, axis))
             parts = [
                 _draw_found(view, kept),
                 _draw_proof(view, kept),
@@ -94,12 +103,12 @@ def _draw_buttons(view: View, axis: AxisConfig, ways: dict[str, GoOn], interrupt
     return refresh
 
 
-def _earlier(view: View, kept: Reading[KeptLostMotion | None]) -> KeptLostMotion | None:
+def _earlier(view: View, kept: FolderContents[KeptLostMotion | None]) -> KeptLostMotion | None:
     """The result of a server before this one; None as soon as there is a measurement of this one."""
     return kept.value if lost_motion_screen(view.desk).measurement is None else None
 
 
-def _draw_found(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
+def _draw_found(view: View, kept: FolderContents[KeptLostMotion | None]) -> Refresh:
     """The lost motion, its uncertainty and its shape."""
     t = view.t
     with view.card("lost_motion.found"):
@@ -125,7 +134,7 @@ def _draw_found(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
     return refresh
 
 
-def _draw_proof(view: View, kept: Reading[KeptLostMotion | None]) -> Refresh:
+def _draw_proof(view: View, kept: FolderContents[KeptLostMotion | None]) -> Refresh:
     """The proof by fresh moves, and whether the result is stored."""
     t = view.t
     with view.card("lost_motion.proof"), ui.element("div").classes("hil-lines"):
@@ -169,7 +178,7 @@ def _draw_plots(view: View) -> Refresh:
         drawings = []
         for key in ("lost_motion.rise", "lost_motion.beginning", "lost_motion.moves"):
             with view.card(key, name=f"{key}.card"):
-                drawings.append(Drawing(view, key))
+                drawings.append(RedrawnChart(view, key))
     rise, beginning, moves = drawings
 
     def refresh() -> None:
@@ -211,10 +220,10 @@ def _draw_fits(view: View) -> Refresh:
     with ui.element("div").classes("hil-grid wide"):
         with view.card("lost_motion.shapes"):
             heads = [f"lost_motion.head.{name}" for name in ("shape", "amount_um", "rms_um", "held_out_um")]
-            shapes = Table(view, "lost_motion.contenders", heads)
+            shapes = ScreenTable(view, "lost_motion.contenders", heads)
         with view.card("lost_motion.parameters"):
             heads = [f"lost_motion.head.{name}" for name in ("parameter", "value", "uncertainty")]
-            parameters = Table(view, "lost_motion.fitted", heads)
+            parameters = ScreenTable(view, "lost_motion.fitted", heads)
             single = view.named(ui.label(t("lost_motion.not_separate")).classes("hil-note"), "lost_motion.not_separate")
             single.set_visibility(False)
     latest = Latest()

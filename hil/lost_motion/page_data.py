@@ -20,9 +20,9 @@ from hil.lost_motion.at_load import load_mm
 from hil.lost_motion.circle import job as circle
 from hil.lost_motion.circle.figures import ring_of
 from hil.lost_motion.circle.job import DrivenCircle
-from hil.lost_motion.estimate import Estimate
+from hil.lost_motion.estimate import ReversalFit
 from hil.lost_motion.measured import ReversalResult
-from hil.lost_motion.procedure import Proof
+from hil.lost_motion.procedure import LostMotionProof
 from hil.records.files import parse_json
 from hil.records.rows import UM_PER_MM, Floats
 from hil.ui.report.views import object_of, value_of
@@ -115,7 +115,7 @@ class RiseCurves:
     fitted: Sequence[FittedCurve]
 
 
-def rise_curves(estimate: Estimate, *, beginning: bool = False) -> RiseCurves:
+def rise_curves(estimate: ReversalFit, *, beginning: bool = False) -> RiseCurves:
     """The whole travel in mm, or its beginning in µm: `BEGINNING` times the lost motion."""
     end_mm, per_mm = max(float(one.travel_mm.max()) for one in estimate.reversals), 1.0
     if beginning:
@@ -134,7 +134,7 @@ def rise_curves(estimate: Estimate, *, beginning: bool = False) -> RiseCurves:
     return RiseCurves(measured, fitted)
 
 
-def proof_points(proof: Proof) -> tuple[Points, Points]:
+def proof_points(proof: LostMotionProof) -> tuple[Points, Points]:
     """Remaining lost motion of each fresh move, µm, in the move's own direction: before, and with the correction; over
     its number.
     """

@@ -20,13 +20,13 @@ import numpy as np
 from drivers.errors import InputError, StateError
 from hil.axis.lost_motion import LostMotionConfig
 from hil.correction.compensation import Compensation
-from hil.correction.rise import TWO_TANH, Rise, Shape
+from hil.correction.rise import TWO_TANH, Rise, RiseShape
 from hil.correction.running_lost_motion import Turns, wound_um
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
 from hil.effects.base import Term
 from hil.effects.history import remembered
 from hil.figures.error_figures import rms
-from hil.lost_motion.estimate import Estimate, Uncertain, estimate, with_two_tanh
+from hil.lost_motion.estimate import ReversalFit, Uncertain, estimate, with_two_tanh
 from hil.lost_motion.fit import MeasuredReversal
 from hil.machine.computing import Computing, at_once
 from hil.machine.events import Event, Listener, silent
@@ -69,7 +69,7 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Proof:
+class LostMotionProof:
     """The same moves before and after. before_um, after_um: remaining lost motion in each row, in the axis's sign."""
 
     before: Records
@@ -114,10 +114,10 @@ class LostMotionResult:
     """The result. compensation: with the rise in force, to be stored where the proof is good."""
 
     records: Records
-    estimate: Estimate
+    estimate: ReversalFit
     stretch: Stretch
     compensation: Compensation
-    proof: Proof
+    proof: LostMotionProof
 
     @property
     def good(self) -> bool:
@@ -224,7 +224,7 @@ def stretch_of(records: Records, how: LostMotionConfig, amount_um: float = 0.0) 
 
 
 def with_rise(
-    present: Compensation | None, found: Estimate, how: LostMotionConfig, reach: tuple[float, float]
+    present: Compensation | None, found: ReversalFit, how: LostMotionConfig, reach: tuple[float, float]
 ) -> Compensation:
     """The compensation to be put into force: the present tables, and the rise between their two directions.
 
@@ -248,7 +248,7 @@ def with_rise(
 
 
 def _nothing_to_correct(
-    present: Compensation | None, found: Estimate, stretch: Stretch, how: LostMotionConfig
+    present: Compensation | None, found: ReversalFit, stretch: Stretch, how: LostMotionConfig
 ) -> StateError:
     """The error for an axis that loses nothing at its reversals; another one where what is stored corrects a reversal."""
     seen = f"{found.amount_um:.2f} µm with a noise of {stretch.noise_um:.2f} µm"
@@ -301,7 +301,7 @@ def left_by_um(rise: Rise, uncorrected: Records, stretch: Stretch) -> Floats:
     return np.asarray(lost_um + np.array(wound) - rise.amount_um / 2.0)
 
 
-def confirmed(found: Estimate, uncorrected: Records, stretch: Stretch) -> Estimate:
+def confirmed(found: ReversalFit, uncorrected: Records, stretch: Stretch) -> ReversalFit:
     """The estimate itself; with two tanh terms in place of another shape that would not have left less of these moves."""
     if found.asked_for or found.rise.shape is TWO_TANH:
         return found
@@ -321,7 +321,7 @@ def measure_lost_motion(
     listener: Listener = silent,
     *,
     seed: int = 1,
-    asked: Shape | Rise | None = None,
+    asked: RiseShape | Rise | None = None,
     computing: Computing = at_once,
 ) -> LostMotionResult:
     """Measures, fits and proves on a prepared session. present: the compensation in force, None for none. Stores
@@ -351,13 +351,15 @@ def measure_lost_motion(
         session.compensation = extended = _usable(session, present, found, how)
         after = measure(session, campaign, "after", steps, listener)
         left = (residual_um(before, stretch, present), residual_um(after, stretch, extended))
-        proof = Proof(before, after, *left, found.amount_um, stretch.noise_um)
+        proof = LostMotionProof(before, after, *left, found.amount_um, stretch.noise_um)
         return LostMotionResult(records, found, stretch, extended, proof)
     finally:
         session.compensation = None
 
 
-def _usable(session: AxisSession, present: Compensation | None, found: Estimate, how: LostMotionConfig) -> Compensation:
+def _usable(
+    session: AxisSession, present: Compensation | None, found: ReversalFit, how: LostMotionConfig
+) -> Compensation:
     """The compensation with this rise, held against the tables and the axis's bound."""
     limits = session.drive.limits
     extended = with_rise(present, found, how, (limits.travel_min_mm, limits.travel_max_mm))

@@ -13,7 +13,7 @@ from hil.correction.published_rise import PublishedMove, TwoTanh, published_move
 from hil.correction.rise import TWO_TANH
 from hil.correction.running_lost_motion import Turns, wound_um
 from hil.effects.history import remembered
-from hil.lost_motion.estimate import Estimate
+from hil.lost_motion.estimate import ReversalFit
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class BesidePublished:
         }
 
 
-def beside_published(found: Estimate, targets_mm: Sequence[float]) -> BesidePublished:
+def beside_published(found: ReversalFit, targets_mm: Sequence[float]) -> BesidePublished:
     """Both forms along the targets of straight moves; the first target was reached by a full stroke in −."""
     rise = next(one.fitted.rise for one in found.contenders if one.fitted.shape is TWO_TANH)
     start_mm, *others = targets_mm

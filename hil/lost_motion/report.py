@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from hil.effects.history import LONG_STROKE_MM
 from hil.figures.error_figures import rms
-from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, Estimate, determined, separately_determined
-from hil.lost_motion.procedure import LostMotionResult, Proof
+from hil.lost_motion.estimate import NOT_SEPARATELY_DETERMINED, ReversalFit, determined, separately_determined
+from hil.lost_motion.procedure import LostMotionProof, LostMotionResult
 from hil.lost_motion.published import BesidePublished
 from hil.ui.report import markup
 from hil.ui.report.markup import tile
@@ -53,7 +53,7 @@ def sections(result: LostMotionResult, published: BesidePublished) -> list[str]:
     ]
 
 
-def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
+def rise_plot(estimate: ReversalFit, theme: Theme) -> Figure:
     """Loss over the load's travel: the whole travel in mm, and its beginning in µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 4.2, top_in=0.75)
@@ -94,7 +94,7 @@ def rise_plot(estimate: Estimate, theme: Theme) -> Figure:
         return figure
 
 
-def proof_plot(proof: Proof, theme: Theme) -> Figure:
+def proof_plot(proof: LostMotionProof, theme: Theme) -> Figure:
     """Remaining lost motion, move by move, before and after, µm."""
     with mpl.rc_context(RC):
         figure = new_figure(9.6, 3.2, top_in=0.6)
@@ -122,7 +122,7 @@ def tiles(result: LostMotionResult) -> str:
     return '<div class="tiles">' + "".join(shown) + "</div>"
 
 
-def _data(number: int, estimate: Estimate) -> str:
+def _data(number: int, estimate: ReversalFit) -> str:
     one = estimate.reversals[number]
     load = one.by_load()
     travel_mm, risen_um = load.rise
@@ -130,7 +130,7 @@ def _data(number: int, estimate: Estimate) -> str:
     return markup.data_table(f"data-reversal-{number + 1}", f"Reversal {number + 1}, {NAMES[one.direction]}", columns)
 
 
-def _contenders(estimate: Estimate) -> str:
+def _contenders(estimate: ReversalFit) -> str:
     rows = [
         [
             one.fitted.shape.name + (" (in force)" if one.fitted.rise is estimate.rise else ""),
@@ -146,7 +146,7 @@ def _contenders(estimate: Estimate) -> str:
     )
 
 
-def _parameters(estimate: Estimate) -> str:
+def _parameters(estimate: ReversalFit) -> str:
     rows = [
         [name.replace("_", " "), markup.significant(each.value), markup.significant(each.std, 2)]
         for name, each in determined(estimate.published).items()
@@ -175,7 +175,7 @@ def _published(beside: BesidePublished) -> str:
     )
 
 
-def _proof_data(proof: Proof) -> str:
+def _proof_data(proof: LostMotionProof) -> str:
     columns = {
         "target_mm": proof.after.target_mm,
         "direction": proof.after.direction,

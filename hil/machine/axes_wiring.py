@@ -18,7 +18,7 @@ from hil.axis.zero import zero_keeper
 from hil.correction.bound import CAREFUL
 from hil.machine.axis_lock import held_axis
 from hil.machine.conditions import Conditions
-from hil.machine.cross_axis import CrossAxis
+from hil.machine.cross_axis import CrossAxisDrive
 from hil.machine.instruments import build_instrument
 from hil.machine.interrupts import ending_by_signals
 from hil.machine.links import Links
@@ -113,9 +113,9 @@ def connected_across(
         yield machine
 
 
-def _cross_axis(other: DriveAxis, drive: ServoDrive, at_mm: float) -> CrossAxis:
+def _cross_axis(other: DriveAxis, drive: ServoDrive, at_mm: float) -> CrossAxisDrive:
     measured = other if isinstance(other, AxisConfig) else None
-    cross = CrossAxis(
+    cross = CrossAxisDrive(
         drive,
         at_mm,
         velocity_mm_s=other.limits.max_velocity_mm_s / 5.0 if measured is None else measured.measurement.velocity_mm_s,

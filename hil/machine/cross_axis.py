@@ -14,7 +14,7 @@ from drivers.drive import DriveState, ServoDrive
 from drivers.errors import StateError
 from drivers.undo import undo_all
 from hil.correction.bound import CAREFUL, CorrectionBound
-from hil.correction.compensation import Command, Compensation, MotionHistory
+from hil.correction.compensation import Compensation, CorrectedSetPoint, MotionHistory
 from hil.correction.streamed import StreamedCorrection
 from hil.correction.tables import TableSet
 from hil.machine.one_correction import refuse_while_drive_corrects
@@ -36,7 +36,7 @@ def check_across(tables: TableSet, bound: CorrectionBound) -> None:
         bound.check_curves(what, table.position_mm, {1: table.plus_um, -1: table.minus_um})
 
 
-class CrossAxis:
+class CrossAxisDrive:
     """A context manager: entering connects and enables nothing; leaving stops after an error, disables and disconnects.
 
     at_mm: where it stands while nothing is to be corrected; velocity_mm_s: of its moves; run_in_mm: it comes to `at_mm` upwards from
@@ -144,7 +144,7 @@ class CrossAxis:
         self.drive.disable()
 
     # -- moving ------------------------------------------------------------------------------------------------------------
-    def command(self, across_um: float, time_s: float) -> Command:
+    def command(self, across_um: float, time_s: float) -> CorrectedSetPoint:
         """The command at a time (s) at which the moving axis's straightness adds `across_um` to this axis.
 
         Raises StateError before `get_ready` and after a stop, CorrectionBoundError beyond this axis's bound.
@@ -160,6 +160,6 @@ class CrossAxis:
         points.known["time_s"] = time_s
         return points.command_mm(self.at_mm, across_um)
 
-    def unchanged(self, command: Command) -> bool:
+    def unchanged(self, command: CorrectedSetPoint) -> bool:
         """Whether it stands there already."""
         return abs(command.command_mm - self.state.commanded_mm) < UNCHANGED_MM

@@ -18,7 +18,7 @@ from drivers.drive import DriveSample, ServoDrive
 from drivers.errors import InputError, MeasurementLostError, StateError
 from drivers.standstill import Standstill
 from hil.axis.axis_file import MeasurementConfig
-from hil.correction.compensation import Command
+from hil.correction.compensation import CorrectedSetPoint
 from hil.figures.reading import RULE
 from hil.machine.events import Event, Listener, Point, silent
 from hil.machine.one_correction import refuse_while_drive_corrects
@@ -164,7 +164,7 @@ class _StepRunner:
     steps: Sequence[Step]
     at: int | None = None
 
-    def capture(self, index: int) -> tuple[Command, PositionReading]:
+    def capture(self, index: int) -> tuple[CorrectedSetPoint, PositionReading]:
         """Move to the step's target in its direction, and read."""
         step, stands_at, self.at = self.steps[index], self.at, None
         if step.overrun_mm == 0.0 and stands_at != index - 1:
@@ -240,7 +240,7 @@ def _approach(session: AxisSession, step: Step, *, anyhow: bool = False) -> None
 
 
 def _row(
-    step: Step, command: Command, reading: PositionReading, known: Mapping[str, float], columns: Sequence[str]
+    step: Step, command: CorrectedSetPoint, reading: PositionReading, known: Mapping[str, float], columns: Sequence[str]
 ) -> dict[str, float]:
     """One row. The cell of a sensor without a value is NaN."""
     torque = reading.sample.torque_percent

@@ -23,12 +23,12 @@ from drivers.set_points import SetPointSettings, SetPointStream
 from drivers.undo import undo_all
 from hil.axis.agreement import AgreementLimits
 from hil.axis.axis_file import MeasurementConfig
-from hil.correction.compensation import Command, Compensation, MotionHistory
+from hil.correction.compensation import Compensation, CorrectedSetPoint, MotionHistory
 from hil.correction.streamed import StreamedCorrection
 from hil.effects.history import Course, through
 from hil.figures.material import Material
 from hil.machine.conditions import Conditions, NoConditions
-from hil.machine.cross_axis import CrossAxis
+from hil.machine.cross_axis import CrossAxisDrive
 from hil.machine.dwell import average_at_rest
 from hil.machine.one_correction import refuse_while_drive_corrects
 from hil.machine.set_points import CommandState
@@ -82,7 +82,7 @@ class AxisSession:
         self.resume_within_s: float | None = (
             None  # time limit for a lost signal to come back; None: no automatic resume
         )
-        self.cross: CrossAxis | None = (
+        self.cross: CrossAxisDrive | None = (
             None  # moved against this axis's straightness error; None: no such axis is connected
         )
         self.beside_in_stream: frozenset[str] = frozenset()  # axes whose set-points the caller moves by `across_um`
@@ -211,14 +211,14 @@ class AxisSession:
         if ready and not self.cross.ready:
             raise StateError(f"axis {name}, which straightness moves, is not ready: prepare() first")
 
-    def require_cross(self) -> CrossAxis:
+    def require_cross(self) -> CrossAxisDrive:
         """The axis that straightness moves. Raises InputError where none is connected."""
         if self.cross is None:
             raise InputError("straightness is corrected by another axis, and none is connected")
         return self.cross
 
     @property
-    def _cross_in_use(self) -> CrossAxis | None:
+    def _cross_in_use(self) -> CrossAxisDrive | None:
         """The axis that straightness moves, while it stands ready or has to: then commands for it raise until it does."""
         cross = self.cross
         if cross is None or cross.ready:
@@ -350,7 +350,7 @@ class AxisSession:
         command = self._command(position_mm)
         limits = self.drive.limits
         if not limits.travel_min_mm <= command.command_mm <= limits.travel_max_mm:
-            command = Command(position_mm, position_mm, 0.0, command.history)
+            command = CorrectedSetPoint(position_mm, position_mm, 0.0, command.history)
         self._move(command, None)
 
     def raw_average(self) -> float:
@@ -376,7 +376,9 @@ class AxisSession:
         self._course.note(self.clock.now_ns() / 1e9, known)
         return known
 
-    def move_to(self, target_mm: float, velocity_mm_s: float | None = None, *, across_um: float = 0.0) -> Command:
+    def move_to(
+        self, target_mm: float, velocity_mm_s: float | None = None, *, across_um: float = 0.0
+    ) -> CorrectedSetPoint:
         """Move to a target, mm, with the correction in force; returns the command once the axis has arrived.
 
         velocity_mm_s: None, the session's; across_um: what other axes add for their straightness. Raises LimitError before any motion
@@ -387,7 +389,7 @@ class AxisSession:
         self._move(command, velocity_mm_s)
         return command
 
-    def _command(self, target_mm: float, across_um: float = 0.0) -> Command:
+    def _command(self, target_mm: float, across_um: float = 0.0) -> CorrectedSetPoint:
         return self.command_state.command(target_mm, self.known_for_commands(), across_um=across_um)
 
     def known_for_commands(self) -> dict[str, float]:
@@ -402,7 +404,7 @@ class AxisSession:
                 known[through(column, tau_s)] = now
         return known
 
-    def _move(self, command: Command, velocity_mm_s: float | None) -> None:
+    def _move(self, command: CorrectedSetPoint, velocity_mm_s: float | None) -> None:
         velocity = self.how.velocity_mm_s if velocity_mm_s is None else velocity_mm_s
         self.drive.limits.check_target(command.target_mm)
         self.command_state.check_way(command)
@@ -410,7 +412,7 @@ class AxisSession:
             self.supervisor.move(command.command_mm, velocity, started=lambda: self.command_state.issued(command))
 
     @contextmanager
-    def _cross_moving(self, command: Command) -> Iterator[None]:
+    def _cross_moving(self, command: CorrectedSetPoint) -> Iterator[None]:
         """The block's move, together with that of the axis which straightness moves, to its place for the block's target."""
         cross = self._cross_in_use
         if cross is None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 from drivers.errors import StateError
 from hil.correction.bound import BEYOND_WITH_STRAIGHTNESS, CAREFUL, CorrectionBound
-from hil.correction.compensation import Command, Compensation, MotionHistory
+from hil.correction.compensation import Compensation, CorrectedSetPoint, MotionHistory
 from hil.correction.streamed import StreamedCorrection
 from hil.records.rows import UM_PER_MM
 
@@ -47,7 +47,7 @@ class CommandState:
         self._end_stream()
         self._history, self._commanded_mm = history, commanded_mm
 
-    def issued(self, command: Command) -> None:
+    def issued(self, command: CorrectedSetPoint) -> None:
         """Record a command that the drive has accepted."""
         self.set_position(command.history, command.command_mm)
 
@@ -111,7 +111,7 @@ class CommandState:
         stream.actual = actual.moved_to(estimated_mm) if ahead else actual
 
     # -- commands from place to place --------------------------------------------------------------------------------------
-    def command(self, target_mm: float, known: Mapping[str, float], *, across_um: float = 0.0) -> Command:
+    def command(self, target_mm: float, known: Mapping[str, float], *, across_um: float = 0.0) -> CorrectedSetPoint:
         """The command for a target, mm. known: record columns at this moment (`Compensation.command`). Ends a stream.
 
         across_um: what other axes add to this one for their straightness: a part of the motion, so that the axis's own correction is
@@ -122,7 +122,7 @@ class CommandState:
         history = self.known_history
         target_mm += across_um / UM_PER_MM
         if self._compensation is None:
-            command = Command(target_mm, target_mm, 0.0, history.moved_to(target_mm))
+            command = CorrectedSetPoint(target_mm, target_mm, 0.0, history.moved_to(target_mm))
         else:
             command = self._compensation.command(target_mm, history, known, self.bound)
         total_um = command.correction_um + across_um
@@ -130,7 +130,7 @@ class CommandState:
             self.bound.check_values(BEYOND_WITH_STRAIGHTNESS, target_mm, command.history.direction, total_um)
         return command
 
-    def check_way(self, command: Command) -> None:
+    def check_way(self, command: CorrectedSetPoint) -> None:
         """Raises StateError where the correction would reverse the motion to the command's target."""
         travel_mm = abs(command.target_mm - self.known_history.position_mm)
         if travel_mm and not (command.command_mm - self.commanded_mm) * command.history.direction > 0:

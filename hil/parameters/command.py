@@ -32,7 +32,7 @@ from hil.parameters.preflight import (
     predict,
     seconds_together,
 )
-from hil.parameters.report import Ending, JobReport, Verdict, shown, slow
+from hil.parameters.report import Ending, JobReport, ParameterVerdict, shown, slow
 from hil.parameters.restart import load_defaults
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.snapshot import Backup
@@ -346,11 +346,11 @@ def print_parameters(held: str, rows: Sequence[Sequence[str]], most: int) -> Non
 
 
 def _print_report(report: JobReport) -> None:
-    counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in Verdict}
+    counts = {verdict: sum(row.verdict is verdict for row in report.rows) for verdict in ParameterVerdict}
     told = ", ".join(f"{count} {verdict.value}" for verdict, count in counts.items() if count)
     print(f"{report.drive}: {report.ending.value}" + (f" ({told}; {report.seconds:.3f} s)" if told else ""))
     refused = report.ending is Ending.REFUSED  # then the reasons matter
-    changed = [row for row in report.rows if row.verdict is not Verdict.SAME and not refused]
+    changed = [row for row in report.rows if row.verdict is not ParameterVerdict.SAME and not refused]
     if changed:
         cells = [
             [row.address, row.name, shown(row.old), shown(row.new), row.unit, row.verdict.value] for row in changed

@@ -16,7 +16,7 @@ from functools import partial
 from drivers.drive import DriveState
 from drivers.errors import AbortError, BridgeError, CapabilityError, InputError, LinkLostError, StateError
 from drivers.raw_parameters import Steps
-from hil.parameters.journal import Noted, Phase
+from hil.parameters.journal import DownloadPhase, Noted
 from hil.parameters.preflight import (
     Objection,
     left_out,
@@ -156,13 +156,13 @@ def _begin(works: Sequence[DriveTask], store: bool) -> None:
 
 def _write(work: DriveTask) -> Steps[None]:
     yield from work.bring(work.new, work.old, starts=work.starts)
-    work.note(Phase.PROVEN)
+    work.note(DownloadPhase.PROVEN)
 
 
 def put_back(work: DriveTask) -> Steps[None]:
     """Write the old values and read them back. Where that fails the download stays unfinished."""
     try:
-        work.note(Phase.GOING_BACK)
+        work.note(DownloadPhase.GOING_BACK)
     except InputError as error:  # the disk is full: no reason to leave the drive as it is
         work.notes.append(ended_in(error))
     work.ending = Ending.UNFINISHED
@@ -171,7 +171,7 @@ def put_back(work: DriveTask) -> Steps[None]:
     except BridgeError as error:
         work.notes.append(f"it could not be put back: {ended_in(error)}")
         return
-    work.note(Phase.END, ending=Ending.PUT_BACK.name)
+    work.note(DownloadPhase.END, ending=Ending.PUT_BACK.name)
     work.ending = Ending.PUT_BACK
 
 
@@ -193,7 +193,7 @@ def keep(work: DriveTask, goals: Mapping[str, bytes]) -> Steps[None]:
     objection = objection_to_state(state)
     if objection is not None:
         raise StateError(f"drive {drive.name}: {objection.why}; it was not stored")
-    work.note(Phase.STORING)
+    work.note(DownloadPhase.STORING)
     refusal: BridgeError | None = None
     try:
         yield from drive.store()
@@ -204,7 +204,7 @@ def keep(work: DriveTask, goals: Mapping[str, bytes]) -> Steps[None]:
     if refusal is not None:
         raise refusal
     work.stored = True
-    work.note(Phase.STORED)
+    work.note(DownloadPhase.STORED)
 
 
 def _end(work: DriveTask) -> None:
@@ -214,6 +214,6 @@ def _end(work: DriveTask) -> None:
         work.notes.append("everything is written and was read back; whether the drive keeps it is not known")
         return
     work.ending = Ending.WRITTEN if work.differing() else Ending.UNCHANGED
-    work.note(Phase.END, ending=work.ending.name)
+    work.note(DownloadPhase.END, ending=work.ending.name)
     if work.not_kept:
         work.fail(StateError(f"it was not stored: {work.not_kept}"))

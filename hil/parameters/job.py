@@ -21,7 +21,7 @@ from hil.axis.backlash import object_key
 from hil.correction.sealed import check_detached, load_public_key
 from hil.correction.store import bound_tables
 from hil.desk.job import Job, Workplace
-from hil.desk.plan import Plan, Write
+from hil.desk.plan import Plan, PlannedWrite
 from hil.machine.events import Event
 from hil.parameters import FORMATS
 from hil.parameters.compare import Comparison, compare
@@ -196,7 +196,7 @@ def backup_job(axis: DriveAxis, path: Path | None = None) -> Job:
             raise StateError(backup.error)
         return BackedUp(path, len(backup.contents.entries), len(backup.unreadable or {}))
 
-    return _job(axis, BACKUP, [Write("file", str(path))], work, locked=False)
+    return _job(axis, BACKUP, [PlannedWrite("file", str(path))], work, locked=False)
 
 
 def new_backup_path(axis: DriveAxis) -> Path:
@@ -248,7 +248,7 @@ def _compared(axis: DriveAxis, contents: ParameterSet, place: Workplace) -> Comp
 
 def download_job(axis: DriveAxis, contents: ParameterSet) -> Job:
     """Job that downloads a set and returns a JobReport."""
-    return _writing(axis, DOWNLOAD, contents, [Write("parameters", contents.name)])
+    return _writing(axis, DOWNLOAD, contents, [PlannedWrite("parameters", contents.name)])
 
 
 def store_job(axis: DriveAxis, contents: ParameterSet, *, audit: bool = False) -> Job:
@@ -264,16 +264,16 @@ def store_job(axis: DriveAxis, contents: ParameterSet, *, audit: bool = False) -
         )
         return report
 
-    return _job(axis, STORE, [Write("kept", contents.name)], work)
+    return _job(axis, STORE, [PlannedWrite("kept", contents.name)], work)
 
 
 def restore_job(axis: DriveAxis) -> Job:
     """Job that restores the values before the last download, and returns a JobReport. Raises InputError where there is none."""
     contents = set_before_last(axis)
-    return _writing(axis, RESTORE, contents, [Write("parameters_back", contents.name)])
+    return _writing(axis, RESTORE, contents, [PlannedWrite("parameters_back", contents.name)])
 
 
-def _writing(axis: DriveAxis, kind: str, contents: ParameterSet, writes: Sequence[Write]) -> Job:
+def _writing(axis: DriveAxis, kind: str, contents: ParameterSet, writes: Sequence[PlannedWrite]) -> Job:
     def work(place: Workplace) -> JobReport:
         (report,) = write_axes([axis], [contents], progress=_progress_events(place), connect=_connect(place))
         return report
@@ -292,12 +292,17 @@ def recover_job(axis: DriveAxis, *, forward: bool) -> Job:
         (report,) = recover_axes([axis], forward=forward, progress=_progress_events(place), connect=_connect(place))
         return report
 
-    write = Write("parameters" if forward else "parameters_back", cut_off.set_name)
+    write = PlannedWrite("parameters" if forward else "parameters_back", cut_off.set_name)
     return _job(axis, RESUME if forward else ROLLBACK, [write], work)
 
 
 def _job(
-    axis: DriveAxis, kind: str, writes: Sequence[Write], work: Callable[[Workplace], object], *, locked: bool = True
+    axis: DriveAxis,
+    kind: str,
+    writes: Sequence[PlannedWrite],
+    work: Callable[[Workplace], object],
+    *,
+    locked: bool = True,
 ) -> Job:
     plan = Plan(axis.name, axis.drive.backend, writes=tuple(writes), locked=locked)
 

@@ -21,7 +21,7 @@ from drivers.raw_parameters import DriveIdentity
 from hil.records.files import parse_json, split_lines
 
 
-class Phase(Enum):
+class DownloadPhase(Enum):
     """The steps of a download."""
 
     BEGIN = "begin"  # nothing is written yet
@@ -55,13 +55,13 @@ class Download:
     store: bool
     began: str
     path: Path
-    phases: tuple[Phase, ...] = ()
+    phases: tuple[DownloadPhase, ...] = ()
     ending: str = ""
 
     @property
     def finished(self) -> bool:
         """Whether the journal has its end."""
-        return Phase.END in self.phases
+        return DownloadPhase.END in self.phases
 
     @property
     def changes(self) -> bool:
@@ -71,7 +71,7 @@ class Download:
     @property
     def may_have_stored(self) -> bool:
         """Whether a store was begun."""
-        return Phase.STORING in self.phases
+        return DownloadPhase.STORING in self.phases
 
 
 class Journal:
@@ -120,10 +120,10 @@ class Journal:
             datetime.now(UTC).isoformat(timespec="seconds"),
             self.folder / f"download-{number:04d}.jsonl",
         )
-        self._append(download.path, {"phase": Phase.BEGIN.value, **_form(download)}, new=True)
+        self._append(download.path, {"phase": DownloadPhase.BEGIN.value, **_form(download)}, new=True)
         return download
 
-    def note(self, download: Download, phase: Phase, **facts: object) -> None:
+    def note(self, download: Download, phase: DownloadPhase, **facts: object) -> None:
         """Append a step. Raises InputError when it cannot be written."""
         self._append(download.path, {"phase": phase.value, **facts})
 
@@ -181,8 +181,8 @@ def _read(path: Path) -> Download | None:
     try:
         forms = [parse_json(line) for line in lines]
         first = forms[0]
-        phases = tuple(Phase(form["phase"]) for form in forms)
-        if phases[0] is not Phase.BEGIN:
+        phases = tuple(DownloadPhase(form["phase"]) for form in forms)
+        if phases[0] is not DownloadPhase.BEGIN:
             raise ValueError
         return Download(
             first["axis"],

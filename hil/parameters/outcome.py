@@ -13,7 +13,7 @@ from drivers.files import read_bytes, replace_file
 from hil.axis.axis_file import DriveAxis
 from hil.parameters.compare import Comparison, Side
 from hil.parameters.preflight import Objection
-from hil.parameters.report import Ending, JobReport, Verdict, shown
+from hil.parameters.report import Ending, JobReport, ParameterVerdict, shown
 
 MOST_ROWS = 2000
 _KEPT = "parameters/outcome.json"
@@ -102,7 +102,7 @@ def _of_report(report: JobReport) -> Outcome:
     rows = [
         ParameterRow(row.address, row.name, shown(row.old), shown(row.new), row.unit, row.verdict.name)
         for row in report.rows
-        if row.verdict is not Verdict.SAME
+        if row.verdict is not ParameterVerdict.SAME
     ]
     same = len(report.rows) if report.ending.good else len(report.rows) - len(rows)
     outcome = "stored" if report.stored and report.good else report.ending.name.lower()

@@ -21,7 +21,7 @@ from hil.parameters.outcome import BackedUp, Outcome, ParameterRow, kept_outcome
 from hil.parameters.page_data import ParametersScreen, parameters_screen
 from hil.parameters.set_file import ParameterSet
 from hil.parameters.wiring import journal_of
-from hil.ui.screen.pieces import Reading, Table, Tabs, show_share
+from hil.ui.screen.pieces import FolderContents, ScreenTable, Tabs, show_share
 from hil.ui.screen.view import Refresh, View
 
 COLUMNS = ("address", "name", "held", "wanted", "unit", "outcome")
@@ -33,7 +33,7 @@ MOST_CHANGES = 12
 
 
 @dataclass(frozen=True)
-class Stored:
+class ParameterFolder:
     """Contents of the axis's folder: files with sets, an interrupted download, whether a download can be taken back, and the outcome
     of the last job."""
 
@@ -43,15 +43,15 @@ class Stored:
     outcome: Outcome | None
 
 
-def _stored(axis: DriveAxis) -> Stored:
+def _stored(axis: DriveAxis) -> ParameterFolder:
     downloaded = journal_of(axis).last_change() is not None
-    return Stored(set_files(axis), parameters.unfinished(axis), downloaded, kept_outcome(axis))
+    return ParameterFolder(set_files(axis), parameters.unfinished(axis), downloaded, kept_outcome(axis))
 
 
 def draw(view: View) -> None:
     """Draw the page: outcome, step, set and buttons beside the parameters that differ."""
     messages = view.messages("parameters.messages")
-    stored = Reading(view, partial(_stored, view.desk.axis))
+    stored = FolderContents(view, partial(_stored, view.desk.axis))
     parts = [_draw_interrupted(view, stored)]
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
@@ -70,11 +70,11 @@ def draw(view: View) -> None:
     view.every(tell, *parts)
 
 
-def _shown(view: View, stored: Reading[Stored]) -> ParametersScreen:
+def _shown(view: View, stored: FolderContents[ParameterFolder]) -> ParametersScreen:
     return parameters_screen(view.desk, None if stored.value is None else stored.value.outcome)
 
 
-def _draw_interrupted(view: View, stored: Reading[Stored]) -> Refresh:
+def _draw_interrupted(view: View, stored: FolderContents[ParameterFolder]) -> Refresh:
     """Card of an interrupted download, with the buttons to finish or undo it."""
     box = view.named(ui.element("section").classes("hil-card"), "parameters.interrupted")
     with box:
@@ -99,7 +99,7 @@ async def _recover(view: View, *, forward: bool) -> None:
     await view.ask_and_run(parameters.recover_job(view.desk.axis, forward=forward))
 
 
-def _draw_choice(view: View, stored: Reading[Stored]) -> ui.select:
+def _draw_choice(view: View, stored: FolderContents[ParameterFolder]) -> ui.select:
     """Choice of the file with the set: a stored one, or an upload."""
     axis = view.desk.axis
     with ui.element("div").classes("hil-set"):
@@ -154,7 +154,7 @@ def _set_words(view: View, path: Path) -> str:
     return path.name if at is None else view.t("parameters.backup_of", date=at.strftime("%Y-%m-%d %H:%M:%S"))
 
 
-def _draw_buttons(view: View, choice: ui.select, stored: Reading[Stored]) -> Refresh:
+def _draw_buttons(view: View, choice: ui.select, stored: FolderContents[ParameterFolder]) -> Refresh:
     """Buttons of the jobs. Those that write to the drive need the builder's role."""
     axis = view.desk.axis
 
@@ -217,7 +217,7 @@ async def _restore(view: View) -> None:
     await _ask_with_changes(view, parameters.set_before_last(axis), lambda _contents: parameters.restore_job(axis))
 
 
-def _draw_outcome(view: View, stored: Reading[Stored]) -> Refresh:
+def _draw_outcome(view: View, stored: FolderContents[ParameterFolder]) -> Refresh:
     """The outcome of the last job, and the numbers of parameters."""
     t = view.t
     with view.card("parameters.outcome", name="parameters.outcome.card"):
@@ -256,7 +256,7 @@ def _draw_progress(view: View) -> Refresh:
     return refresh
 
 
-def _draw_tables(view: View, stored: Reading[Stored]) -> Refresh:
+def _draw_tables(view: View, stored: FolderContents[ParameterFolder]) -> Refresh:
     """All parameters, and what the last job found or changed; what came last is turned to."""
     axis, tabs = view.desk.axis, Tabs(view, "parameters", ("all", "differences"))
 
@@ -282,10 +282,10 @@ def _draw_tables(view: View, stored: Reading[Stored]) -> Refresh:
     return refresh
 
 
-def _draw_differences(view: View, stored: Reading[Stored]) -> Refresh:
+def _draw_differences(view: View, stored: FolderContents[ParameterFolder]) -> Refresh:
     with view.card("parameters.differences"):
         heads, figures = ([f"parameters.head.{name}" for name in names] for names in (COLUMNS, FIGURES))
-        table = Table(view, "parameters.table", heads, figures=figures, tall=True)
+        table = ScreenTable(view, "parameters.table", heads, figures=figures, tall=True)
         none = view.named(ui.label().classes("hil-empty"), "parameters.none")
     drawn: list[object] = []  # the job whose rows are there, and how far it was; else the outcome of before
 
@@ -326,7 +326,7 @@ class AllParameters:
                 self._read = view.button("parameters.read", self._read_drive)
             heads = [f"parameters.head.{name}" for name in ("address", "name", "value", "unit", "access")]
             figures = ("parameters.head.value",)
-            self._table = Table(view, "parameters.all", heads, figures=figures, tall=True, on_row=self._choose)
+            self._table = ScreenTable(view, "parameters.all", heads, figures=figures, tall=True, on_row=self._choose)
             self._empty = view.named(ui.label().classes("hil-empty"), "parameters.list.empty")
             self._as_of = view.named(ui.label().classes("hil-name"), "parameters.list.at")
             self._editor = view.named(ui.element("div").classes("hil-row hil-edit"), "parameters.edit")

@@ -11,7 +11,7 @@ from functools import partial
 from drivers.errors import InputError, StateError
 from drivers.raw_parameters import RawParameters, Steps
 from hil.parameters.download import keep
-from hil.parameters.journal import Download, Journal, Phase
+from hil.parameters.journal import Download, DownloadPhase, Journal
 from hil.parameters.preflight import objection_to_state, objections_to_identity
 from hil.parameters.report import Ending, JobReport
 from hil.parameters.set_file import ParameterSet, SetEntry
@@ -67,15 +67,15 @@ def _finish(work: DriveTask, forward: bool) -> Steps[None]:
     yield from _check(work, noted)
     goals = work.new if forward else work.old
     if not forward:
-        work.note(Phase.GOING_BACK)
+        work.note(DownloadPhase.GOING_BACK)
     written = yield from work.settle_at(goals)
     if forward:
-        work.note(Phase.PROVEN)
+        work.note(DownloadPhase.PROVEN)
     work.starts = work.drive.restarts
     if _stores(noted, forward, bool(written)):
         yield from keep(work, goals)
     ending = Ending.WRITTEN if forward else Ending.PUT_BACK
-    work.note(Phase.END, ending=ending.name)
+    work.note(DownloadPhase.END, ending=ending.name)
     work.ending = ending
 
 
@@ -94,7 +94,7 @@ def _stores(noted: Download, forward: bool, written: bool) -> bool:
     """Whether to store. Forward: when it was requested and is not done. Back: when the drive may have stored the new values."""
     if not forward:
         return noted.may_have_stored
-    return noted.store and (written or Phase.STORED not in noted.phases)
+    return noted.store and (written or DownloadPhase.STORED not in noted.phases)
 
 
 def set_before(noted: Download) -> ParameterSet:

@@ -30,7 +30,7 @@ class Ending(Enum):
         return self in (Ending.UNCHANGED, Ending.WRITTEN)
 
 
-class Verdict(Enum):
+class ParameterVerdict(Enum):
     """Outcome of one parameter."""
 
     SAME = "same"
@@ -49,7 +49,7 @@ class Row:
     unit: str
     old: ParameterValue
     new: ParameterValue
-    verdict: Verdict
+    verdict: ParameterVerdict
     read_s: float | None = None
     write_s: float | None = None
 

@@ -14,7 +14,7 @@ from typing import ParamSpec, TypeVar
 from drivers.clock import Clock
 from drivers.errors import BridgeError
 from drivers.raw_parameters import Access, Line, Pause, RawParameters, Steps
-from hil.parameters.report import Ending, JobReport, Row, Verdict
+from hil.parameters.report import Ending, JobReport, ParameterVerdict, Row
 from hil.parameters.transaction import DriveTask
 
 P = ParamSpec("P")
@@ -24,11 +24,11 @@ Progress = Callable[[str, str, int, int], None]
 """progress(stage, drive, done, total)"""
 
 VERDICTS = {
-    Ending.WRITTEN: Verdict.WRITTEN,
-    Ending.UNCHANGED: Verdict.NOT_WRITTEN,
-    Ending.PUT_BACK: Verdict.PUT_BACK,
-    Ending.REFUSED: Verdict.NOT_WRITTEN,
-    Ending.UNFINISHED: Verdict.UNKNOWN,
+    Ending.WRITTEN: ParameterVerdict.WRITTEN,
+    Ending.UNCHANGED: ParameterVerdict.NOT_WRITTEN,
+    Ending.PUT_BACK: ParameterVerdict.PUT_BACK,
+    Ending.REFUSED: ParameterVerdict.NOT_WRITTEN,
+    Ending.UNFINISHED: ParameterVerdict.UNKNOWN,
 }
 """Outcome of a parameter whose old and new values differ. Others are `SAME`, unless the ending is unfinished."""
 
@@ -212,7 +212,7 @@ def _row(work: DriveTask, address: str, ending: Ending) -> Row:
         work.drive.unit_of(parameter),
         work.drive.decode(parameter, work.old[address]),
         work.drive.decode(parameter, work.new[address]),
-        Verdict.SAME if same and ending is not Ending.UNFINISHED else VERDICTS[ending],
+        ParameterVerdict.SAME if same and ending is not Ending.UNFINISHED else VERDICTS[ending],
         work.read_s.get(address),
         work.write_s.get(address),
     )

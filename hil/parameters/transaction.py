@@ -22,7 +22,7 @@ from drivers.raw_parameters import (
     no_observer,
 )
 from hil.correction.store import BoundTables
-from hil.parameters.journal import Download, Journal, Phase
+from hil.parameters.journal import Download, DownloadPhase, Journal
 from hil.parameters.preflight import Objection
 from hil.parameters.report import Ending
 from hil.parameters.set_file import ParameterSet
@@ -105,7 +105,7 @@ class DriveTask:
         """Addresses whose new value is not the old one."""
         return [address for address in self.new if not self.drive.shows(address, self.old[address], self.new[address])]
 
-    def note(self, phase: Phase, **facts: object) -> None:
+    def note(self, phase: DownloadPhase, **facts: object) -> None:
         """Append a step to the journal, where this drive has one. Raises InputError when it cannot be written."""
         if self.noted is not None:
             self.journal.note(self.noted, phase, **facts)

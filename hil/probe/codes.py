@@ -18,7 +18,7 @@ class CodeError(SafetyError):
     """The control's wires contradict the hand-shake; nothing moves, and MFIN is off."""
 
 
-class Phase(Enum):
+class HandshakePhase(Enum):
     """Where the hand-shake is."""
 
     UNPROVEN = "the strobe has not been seen off yet"
@@ -61,13 +61,13 @@ class HandShake:
 
     def __init__(self, config: CodesConfig, now_s: float) -> None:
         self._config = config
-        self.phase = Phase.UNPROVEN
+        self.phase = HandshakePhase.UNPROVEN
         self.number: int | None = None
         self._since_s = now_s
 
     @property
     def mfin(self) -> bool:
-        return self.phase is Phase.DONE
+        return self.phase is HandshakePhase.DONE
 
     def saw(self, inputs: int, now_s: float) -> int | None:
         """Takes a reading; returns the number of a code that is to be handled now. Raises CodeError."""
@@ -75,43 +75,43 @@ class HandShake:
             number = number_shown(self._config, inputs)
             return self._step(number, now_s)
         except CodeError:
-            self._enter(Phase.UNPROVEN, now_s)
+            self._enter(HandshakePhase.UNPROVEN, now_s)
             raise
 
     def done(self, now_s: float) -> None:
         """The code was handled."""
-        self._enter(Phase.DONE, now_s)
+        self._enter(HandshakePhase.DONE, now_s)
 
-    def _enter(self, phase: Phase, now_s: float) -> None:
+    def _enter(self, phase: HandshakePhase, now_s: float) -> None:
         self.phase, self._since_s = phase, now_s
 
     def _step(self, number: int | None, now_s: float) -> int | None:
         config, waited_s = self._config, now_s - self._since_s
-        if self.phase in (Phase.WORKING, Phase.DONE):
+        if self.phase in (HandshakePhase.WORKING, HandshakePhase.DONE):
             self._hold(number, waited_s, now_s)
         elif number is None:
-            self._enter(Phase.WAITING, now_s)
-        elif self.phase is Phase.UNPROVEN:
+            self._enter(HandshakePhase.WAITING, now_s)
+        elif self.phase is HandshakePhase.UNPROVEN:
             if waited_s > config.release_s:
                 raise CodeError(
                     f"the strobe of M{number} has been on for {config.release_s:g} s since the start: a code that was given"
                     " before, or a wire that is stuck? Expected it off once; nothing was moved"
                 )
-        elif self.phase is Phase.WAITING or (self.phase is Phase.SETTLING and number != self.number):
+        elif self.phase is HandshakePhase.WAITING or (self.phase is HandshakePhase.SETTLING and number != self.number):
             self.number = number
-            self._enter(Phase.SETTLING, now_s)
-        elif self.phase is Phase.SETTLING and waited_s >= config.settle_s:
+            self._enter(HandshakePhase.SETTLING, now_s)
+        elif self.phase is HandshakePhase.SETTLING and waited_s >= config.settle_s:
             if number in config.numbers:
-                self._enter(Phase.WORKING, now_s)
+                self._enter(HandshakePhase.WORKING, now_s)
                 return number
-            self._enter(Phase.FOREIGN, now_s)
+            self._enter(HandshakePhase.FOREIGN, now_s)
         return None
 
     def _hold(self, number: int | None, waited_s: float, now_s: float) -> None:
         """While a code is handled, and until its strobe is gone, it is the only one."""
-        config, working = self._config, self.phase is Phase.WORKING
+        config, working = self._config, self.phase is HandshakePhase.WORKING
         if number is None and not working:
-            self._enter(Phase.WAITING, now_s)
+            self._enter(HandshakePhase.WAITING, now_s)
         elif number is None:
             raise CodeError(
                 f"the strobe of M{self.number} went off before MFIN: wire broken, or control reset? The axes were stopped"

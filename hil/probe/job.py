@@ -13,7 +13,7 @@ from drivers.clock import NS_PER_S, Clock, Waiting, WallClock
 from drivers.drive import ServoDrive
 from hil.correction.sealed import load_private_key, load_public_key
 from hil.desk.job import Job, Workplace
-from hil.desk.plan import Move, Plan, Write
+from hil.desk.plan import Move, Plan, PlannedWrite
 from hil.machine.events import Listener, silent
 from hil.probe.machine_file import ProbeMachineConfig
 from hil.probe.procedure import (
@@ -194,7 +194,7 @@ def measuring_plan(config: ProbeMachineConfig, store: RunOutStore, mode: str) ->
     moves.append(Move(f"{_touching(mode)} {config.x.name}", low_mm, high_mm, probe.touch_mm_s))
     angles = [spindle.position_deg(angle) for angle in ANGLES_DEG]
     moves.append(Move(f"spindle {config.spindle.name}", min(angles), max(angles), spindle.velocity_deg_s, "turns"))
-    writes = (Write("run_out", str(store.path)), Write("history", str(store.history_path)))
+    writes = (PlannedWrite("run_out", str(store.path)), PlannedWrite("history", str(store.history_path)))
     return _plan(config, moves, writes, contacts=block.turns * len(ANGLES_DEG), locked=config.store.sealed)
 
 
@@ -252,7 +252,7 @@ def _corrections(config: ProbeMachineConfig, known: RunOut, code: CorrectionCode
 def _plan(
     config: ProbeMachineConfig,
     moves: list[Move],
-    writes: tuple[Write, ...] = (),
+    writes: tuple[PlannedWrite, ...] = (),
     *,
     contacts: int = 0,
     locked: bool = False,

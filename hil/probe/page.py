@@ -34,8 +34,8 @@ from hil.probe.page_data import (
 from hil.probe.pages.correct import Kept, ProbePage, draw_corrections
 from hil.probe.runout import RunOut
 from hil.records.rows import UM_PER_MM
-from hil.ui.screen.drawings import Curve, Drawing, Options, angle_axis, curves
-from hil.ui.screen.pieces import Check, Latest, Reading, Table, draw_ready, draw_where
+from hil.ui.screen.drawings import Curve, Options, RedrawnChart, angle_axis, curves
+from hil.ui.screen.pieces import FolderContents, Latest, ScreenTable, StartCondition, draw_ready, draw_where
 from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
 from hil.ui.screen.view import Refresh, View
 
@@ -47,7 +47,7 @@ def draw(view: View, machine: ProbeMachineConfig | None) -> None:
         return
     at = ProbePage(view, machine)
     messages = view.messages("probe.messages")
-    kept: Kept = Reading(view, lambda: probe_record(at.config, at.store))
+    kept: Kept = FolderContents(view, lambda: probe_record(at.config, at.store))
     with ui.element("div").classes("hil-job-page"):
         with ui.element("div").classes("hil-side"):
             parts = [_draw_run_out(at), draw_where(view, "probe", lambda: last_at(view.desks))]
@@ -90,12 +90,12 @@ def _draw_settings(at: ProbePage) -> tuple[ui.select, Refresh]:
         select = ui.select(modes, label=t("probe.mode"), value=at.config.probe.mode).props("dense options-dense")
         mode = view.named(select, "probe.mode")
     missing = (
-        Check(
+        StartCondition(
             "other_axes",
             lambda: not view.in_control or not at.not_controlled,
             figures=lambda: {"axes": ", ".join(desk.name for desk in at.not_controlled)},
         ),
-        Check("run_out_store", lambda: not view.in_control or (at.store is not None and at.store.writable)),
+        StartCondition("run_out_store", lambda: not view.in_control or (at.store is not None and at.store.writable)),
     )
     ready = draw_ready(view, "probe", *missing)
     with ui.element("div").classes("hil-buttons"):
@@ -128,7 +128,7 @@ def _draw_contacts(at: ProbePage) -> Refresh:
     view, t = at.view, at.view.t
     with view.card("probe.contacts", name="probe.contacts.card"):
         heads = [f"probe.head.{name}" for name in ("turn", "angle", "feed", "pulses")]
-        table = Table(view, "probe.contacts", heads, words=0)
+        table = ScreenTable(view, "probe.contacts", heads, words=0)
     shown: list[object] = [None]
 
     def refresh() -> None:
@@ -194,7 +194,7 @@ def _draw_drawing(at: ProbePage) -> Refresh:
     view, t = at.view, at.view.t
     with view.card("probe.drawing", name="probe.drawing.card"):
         ui.label(t("probe.drawing_note")).classes("hil-name")
-        drawing = Drawing(view, "probe.drawing", "round")
+        drawing = RedrawnChart(view, "probe.drawing", "round")
     names = {name: t(f"probe.drawn.{name}") for name in ("run_out", "circle", "contacts")}
 
     def refresh() -> None:
@@ -238,14 +238,14 @@ WORDS = ("when", "mode", "verdict")
 FIGURES = ("x", "y", "radius", "closure")
 
 
-def draw_history(view: View, kept: Reading[ProbeRecord]) -> Callable[[], None]:
+def draw_history(view: View, kept: FolderContents[ProbeRecord]) -> Callable[[], None]:
     """A plot and a table of the measurements, the latest first; returns the refresh."""
     with view.card("probe.history", name="probe.history.card"):
-        drawing = Drawing(view, "probe.history")
+        drawing = RedrawnChart(view, "probe.history")
     with view.card("probe.measurements", name="probe.measurements.card"):
         heads = {name: f"probe.past.{name}" for name in (*WORDS[:2], *FIGURES, WORDS[2])}
         figures = [heads[name] for name in FIGURES]
-        table = Table(view, "probe.measurements", list(heads.values()), figures=figures, tall=True)
+        table = ScreenTable(view, "probe.measurements", list(heads.values()), figures=figures, tall=True)
     latest = Latest()
 
     def refresh() -> None:

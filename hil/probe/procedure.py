@@ -9,7 +9,7 @@ from datetime import datetime
 from drivers.clock import NS_PER_S, Clock
 from drivers.errors import FollowingErrorError, MotionTimeoutError, StateError
 from hil.machine.events import Event, Listener, Measured, silent
-from hil.probe.codes import CodeError, HandShake, Phase
+from hil.probe.codes import CodeError, HandShake, HandshakePhase
 from hil.probe.machine_file import AngleConfig, BossConfig, FaceConfig, Feature, ProbeMachineConfig, ReferenceConfig
 from hil.probe.runout import (
     ANGLES_DEG,
@@ -253,7 +253,7 @@ def measure_feature(
 
 
 @dataclass(frozen=True)
-class Way:
+class ProbePath:
     """Places of X and Y, one after the other, to where an axis is fed in a direction."""
 
     places: tuple[tuple[float, float], ...]
@@ -266,26 +266,26 @@ class Way:
         return {self.axis: targets.pop(self.axis), **targets}
 
 
-def _follow(session: ProbeSession, way: Way) -> None:
+def _follow(session: ProbeSession, way: ProbePath) -> None:
     for place in way.places:
         for name, target_mm in way.ordered(place).items():
             session.move(name, target_mm)
 
 
-def _of_face(face: FaceConfig, across_by_mm: float = 0.0) -> Way:
+def _of_face(face: FaceConfig, across_by_mm: float = 0.0) -> ProbePath:
     start = face.start_mm(across_by_mm)
-    return Way(((start["x"], start["y"]),), face.axis, face.direction)
+    return ProbePath(((start["x"], start["y"]),), face.axis, face.direction)
 
 
-def ways(feature: Feature) -> list[Way]:
+def ways(feature: Feature) -> list[ProbePath]:
     """The ways to the contacts. Round a boss they are sides of a square."""
     if isinstance(feature, BossConfig):
         x, y, c = feature.x_mm, feature.y_mm, feature.clear_mm
         return [
-            Way(((x - c, y),), "x", 1),
-            Way(((x - c, y + c), (x + c, y + c), (x + c, y)), "x", -1),
-            Way(((x + c, y - c), (x, y - c)), "y", 1),
-            Way(((x + c, y - c), (x + c, y + c), (x, y + c)), "y", -1),
+            ProbePath(((x - c, y),), "x", 1),
+            ProbePath(((x - c, y + c), (x + c, y + c), (x + c, y)), "x", -1),
+            ProbePath(((x + c, y - c), (x, y - c)), "y", 1),
+            ProbePath(((x + c, y - c), (x + c, y + c), (x, y + c)), "y", -1),
         ]
     if isinstance(feature, ReferenceConfig):
         return [_of_face(face) for face in feature.faces.values()]
@@ -294,7 +294,7 @@ def ways(feature: Feature) -> list[Way]:
     return [_of_face(feature)]
 
 
-def _way_back(feature: Feature) -> Way:
+def _way_back(feature: Feature) -> ProbePath:
     """From the last contact to where the first one was fed from."""
     first = ways(feature)[0]
     if isinstance(feature, BossConfig):
@@ -362,7 +362,7 @@ def serve_codes(
         return shake.saw(wires.inputs(), clock.now_ns() / NS_PER_S)
 
     listener(Event("codes", "waiting for a code"))
-    while times is None or len(handled) < times or shake.phase is not Phase.WAITING:
+    while times is None or len(handled) < times or shake.phase is not HandshakePhase.WAITING:
         acknowledged = shake.mfin
         number = look()
         if acknowledged and not shake.mfin:

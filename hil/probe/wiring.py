@@ -24,7 +24,7 @@ from drivers.errors import AbortError, CapabilityError, InputError
 from drivers.modbus.drive import ModbusDrive
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.undo import undo_all
 from hil.axis.axis_file import DriveAxis
 from hil.machine.axis_lock import held_axis
@@ -199,14 +199,14 @@ class _ModbusWires:
         self._link, self._unit, self._inputs, self._coil = link, unit, inputs, coil
 
     def inputs(self) -> int:
-        levels = self._link.read(self._unit, Table.DISCRETE, self._inputs)
+        levels = self._link.read(self._unit, AddressSpace.DISCRETE, self._inputs)
         return sum(level << bit for bit, level in enumerate(levels))
 
     def set_mfin(self, on: bool) -> None:
-        self._link.write(self._unit, Table.COIL, self._coil, (int(on),))
+        self._link.write(self._unit, AddressSpace.COIL, self._coil, (int(on),))
 
     def mfin(self) -> bool:
-        return bool(self._link.read(self._unit, Table.COIL, Span(self._coil, 1))[0])
+        return bool(self._link.read(self._unit, AddressSpace.COIL, Span(self._coil, 1))[0])
 
     def restore(self) -> None:
         self.set_mfin(False)
@@ -234,7 +234,7 @@ class _BareWires:
 def _refuse_commanding_coil(drive: ModbusDrive, coil: int) -> None:
     """Raises InputError for a coil that the drive's register map has, as it commands the drive."""
     for register in drive.registers.registers.values():
-        if register.table is Table.COIL and register.span.start <= coil < register.span.end:
+        if register.table is AddressSpace.COIL and register.span.start <= coil < register.span.end:
             raise InputError(
                 f"[codes] mfin_bit and outputs_start give coil {coil}, which is {register.name} of drive {drive.name},"
                 " expected a coil that commands nothing"

@@ -32,7 +32,19 @@ from hil.lost_motion.circle.figures import Trace
 from hil.lost_motion.circle.report import CircleReport, polar_plot
 from hil.records.rows import Floats, Records
 from hil.ui.report import markup, plots
-from hil.ui.report.blocks import Block, Bullets, Drawing, Facts, Heading, Paragraph, Span, Table, Tile, Tiles, said
+from hil.ui.report.blocks import (
+    Block,
+    Bullets,
+    Drawing,
+    Facts,
+    Heading,
+    Paragraph,
+    ReportTable,
+    TextSpan,
+    Tile,
+    Tiles,
+    said,
+)
 from hil.ui.report.data import NamedCampaign, environment
 from hil.ui.report.svg import Ground, Theme
 from hil.ui.report.uncertainty import budget_of
@@ -396,9 +408,9 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
     config = certificate.config
     parts: list[Block] = [
         Tiles(tuple(tiles)),
-        Paragraph((Span(certificate.sentence, "strong"),)),
+        Paragraph((TextSpan(certificate.sentence, "strong"),)),
         *rule,
-        Table(head, tuple(rows), "meaning"),
+        ReportTable(head, tuple(rows), "meaning"),
         *certificate.drawings,
         Heading("What was measured, with what"),
         Facts(
@@ -421,7 +433,7 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
     if certificate.sources:
         lines = tuple((name, markup.number(value), how) for name, how, value in certificate.sources)
         parts.append(
-            Table(
+            ReportTable(
                 ("Contribution", "U, µm (k = 2)", ""),
                 lines,
                 "meaning",
@@ -444,8 +456,8 @@ def blocks(certificate: Certificate, signer: str) -> list[Block]:
                 "Key": f"signed with the builder's key {signer}; check with `hil check FILE --builder builder.pub`",
             }
         ),
-        Table(("Records", "SHA-256"), tuple(certificate.files.items()), "hash"),
-        Table(("Place and date", f"Signature of {config.person}"), (("", ""),), "signature"),
+        ReportTable(("Records", "SHA-256"), tuple(certificate.files.items()), "hash"),
+        ReportTable(("Place and date", f"Signature of {config.person}"), (("", ""),), "signature"),
     ]
 
 

@@ -24,7 +24,7 @@ from hil.figures.uncertainty import Budget
 from hil.records.files import parse_json
 from hil.records.journal import FINISHED, name_of, stated_targets_mm
 from hil.records.rows import concatenate, parse_csv
-from hil.report.issue_certificate import Order, builder_key, form, made_certificate, write_signed
+from hil.report.issue_certificate import CertificateOrder, builder_key, form, made_certificate, write_signed
 from hil.report.job import write_report
 from hil.ui.terminal.output import write_json
 
@@ -141,7 +141,7 @@ def _certify(
     if not (args.certificate or args.dcc):
         raise InputError("--result is for a certificate, expected --certificate FILE.pdf or --dcc FILE.xml with it")
     paths = [args.result] if args.result is not None else list(args.compare or args.records)
-    made = made_certificate(Order(axis, paths, campaigns, diagnosis, args.measured, args.limit))
+    made = made_certificate(CertificateOrder(axis, paths, campaigns, diagnosis, args.measured, args.limit))
     key = builder_key(axis, args.key, args.key_password_file)
     for name in write_signed(made, key, args.certificate, args.dcc):
         print(name)

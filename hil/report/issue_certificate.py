@@ -31,7 +31,7 @@ _BEGUN = re.compile(rf"^# {BEGUN}(\S+?),?(?:\s|$)", re.MULTILINE)
 
 
 @dataclass(frozen=True)
-class Order:
+class CertificateOrder:
     """What a certificate is made of.
 
     paths: files of the rows, or of a result; campaigns: the rows, none for a result; diagnosis: of a loop, which has two campaigns
@@ -98,7 +98,7 @@ def form(made: Certificate) -> dict[str, Any]:
     }
 
 
-def made_certificate(order: Order) -> Certificate:
+def made_certificate(order: CertificateOrder) -> Certificate:
     """The certificate. Raises InputError for rows or a result that cannot be certified, and for an axis file that says too little."""
     from hil.report import certificate  # noqa: PLC0415  (plots are slow to import)
 
@@ -118,7 +118,7 @@ def made_certificate(order: Order) -> Certificate:
         return certificate.positioning(_common(order, last), campaigns[-1])
 
 
-def _common(order: Order, paths: Sequence[str]) -> Common:
+def _common(order: CertificateOrder, paths: Sequence[str]) -> Common:
     from hil.axis.identity import now_in_words  # noqa: PLC0415
     from hil.report.certificate import Common  # noqa: PLC0415
 

@@ -16,11 +16,11 @@ from hil.desk.worker_process import Passes, Work
 from hil.report.job import COMPARE, FOLDER, HISTORY, HISTORY_FIGURES, NAME, REPORT
 from hil.report.page_data import AxisHistory, ReportFile, ReportsScreen, reports_screen
 from hil.ui.screen.campaigns import Measurement
-from hil.ui.screen.drawings import Curve, Drawing, Options, curves
-from hil.ui.screen.pieces import Reading, measurement_words
+from hil.ui.screen.drawings import Curve, Options, RedrawnChart, curves
+from hil.ui.screen.pieces import FolderContents, measurement_words
 from hil.ui.screen.view import Refresh, View
 
-Kept = Reading[ReportsScreen]
+Kept = FolderContents[ReportsScreen]
 MARKS = ("circle", "rect", "diamond")
 OURS = (REPORT.name, COMPARE.name, HISTORY.name)
 COLUMNS = ("begun", "what", "rows", *HISTORY_FIGURES, "state")
@@ -31,7 +31,7 @@ def draw(view: View) -> None:
     if not isinstance(axis, AxisConfig):
         view.named(ui.label(view.t("reports.no_instrument")).classes("hil-note"), "reports.no_instrument")
         return
-    kept: Kept = Reading(view, lambda: reports_screen(axis.store.directory, axis.name))
+    kept: Kept = FolderContents(view, lambda: reports_screen(axis.store.directory, axis.name))
     above = ui.element("div").classes("full-width")  # a long list leaves the buttons in the window
     with view.card("reports.campaigns", name="reports.campaigns.card").classes("full-width"):
         table = _table(view)
@@ -176,7 +176,7 @@ def _draw_file(view: View, number: int, one: ReportFile) -> None:
 def _draw_history(view: View, kept: Kept) -> Refresh:
     """Card with the figures over time and their trend lines."""
     with view.card("reports.history", name="reports.history.card"):
-        drawing = Drawing(view, "reports.history")
+        drawing = RedrawnChart(view, "reports.history")
         trend = view.named(ui.label().style("white-space: pre-line; font-size: 1.15rem"), "reports.trend")
 
     def refresh() -> None:

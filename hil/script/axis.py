@@ -16,7 +16,7 @@ from hil.script.given import Passwords
 
 if TYPE_CHECKING:  # drivers and fits load slowly
     from drivers.instrument import Reading
-    from hil.desk.axis_thread import Connection
+    from hil.desk.axis_thread import DeskConnection
     from hil.desk.plan import Move
     from hil.desk.zero_statement import ZeroStatement
     from hil.machine.session import AxisSession
@@ -41,7 +41,7 @@ class Axis:
     """An axis that is looked at and moved, as a procedure of yours is given it."""
 
     def __init__(
-        self, file: DriveAxis, passwords: Passwords, on_event: Listener, connection: Connection | None = None
+        self, file: DriveAxis, passwords: Passwords, on_event: Listener, connection: DeskConnection | None = None
     ) -> None:
         self.file = file
         self._passwords = passwords
@@ -75,7 +75,7 @@ class Axis:
         """For the job of a procedure that an error ends: no further move is one that its plan names."""
         self._moves = ()
 
-    def _require(self) -> Connection:
+    def _require(self) -> DeskConnection:
         if self._connection is None:
             raise StateError(f'axis {self.name} is not open, expected: with hil.open("{self.file.path}") as axis')
         return self._connection

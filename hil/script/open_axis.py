@@ -22,7 +22,7 @@ if TYPE_CHECKING:  # drivers and fits load slowly
 
     from hil.backlash.measured import BacklashResult
     from hil.correction.store import SealedStore
-    from hil.desk.axis_thread import Connection
+    from hil.desk.axis_thread import DeskConnection
     from hil.desk.job import Job, Workplace
     from hil.lost_motion.measured import ReversalResult
     from hil.machine.bench_wiring import RunningBench
@@ -58,7 +58,7 @@ class OpenAxis(Axis):
         file: DriveAxis,
         passwords: Passwords,
         on_event: Listener,
-        connection: Connection | None = None,
+        connection: DeskConnection | None = None,
         network: canopen.Network | None = None,
     ) -> None:
         super().__init__(file, passwords, on_event, connection)
@@ -114,7 +114,7 @@ class OpenAxis(Axis):
         self._connection = None
 
     def _connect(self) -> None:
-        from hil.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
+        from hil.desk.axis_thread import DeskConnection  # noqa: PLC0415  (drivers load slowly)
         from hil.machine.supervisor import Supervisor  # noqa: PLC0415
         from hil.machine.watched_axis import WatchedAxis  # noqa: PLC0415
         from hil.machine.who_is_there import naming_who_is_there  # noqa: PLC0415
@@ -124,10 +124,10 @@ class OpenAxis(Axis):
             with naming_who_is_there(self.file):
                 if isinstance(self.file, AxisConfig):
                     machine = stack.enter_context(connected(self.file, self._running, network=self._network))
-                    self._connection = Connection(machine.session.drive, machine.session)
+                    self._connection = DeskConnection(machine.session.drive, machine.session)
                 else:
                     drive = stack.enter_context(connected_drive(self.file, self._running, network=self._network))
-                    self._connection = Connection(drive, None)
+                    self._connection = DeskConnection(drive, None)
                     self._alone = stack.enter_context(Supervisor([WatchedAxis(drive)]))
             self._opened_ns = self._connection.drive.clock.now_ns()
             self._stack = stack.pop_all()
@@ -322,12 +322,12 @@ def open_axes(
     if len(measured) < len(files):
         name = next(one.name for one in files if not isinstance(one, AxisConfig))
         raise CapabilityError(f"axis {name} has no instrument: several axes are opened with one each")
-    from hil.desk.axis_thread import Connection  # noqa: PLC0415  (drivers load slowly)
+    from hil.desk.axis_thread import DeskConnection  # noqa: PLC0415  (drivers load slowly)
     from hil.machine.axes_wiring import connected_axes  # noqa: PLC0415
 
     with connected_axes(measured) as machines:
         passwords = Passwords(password, key_password)
-        connections = [Connection(one.session.drive, one.session) for one in machines]
+        connections = [DeskConnection(one.session.drive, one.session) for one in machines]
         axes = [OpenAxis(file, passwords, on_event, on) for file, on in zip(measured, connections, strict=True)]
         try:
             yield tuple(axes)

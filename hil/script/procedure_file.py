@@ -60,7 +60,7 @@ def _numbers(text: str) -> tuple[float, ...]:
 
 
 @dataclass(frozen=True)
-class Kind:
+class ValueKind:
     """A kind of value. said: in messages; read: from a word of the command line, raises ValueError; types: of a value in the code."""
 
     said: str
@@ -68,12 +68,12 @@ class Kind:
     types: tuple[type, ...]
 
 
-KINDS: Mapping[Any, Kind] = {
-    float: Kind("a number", _number, (float, int)),
-    int: Kind("a whole number", int, (int,)),
-    str: Kind("a text", str, (str,)),
-    bool: Kind("True or False", bool, (bool,)),
-    tuple[float, ...]: Kind("numbers with commas, as 20,100", _numbers, (tuple,)),
+KINDS: Mapping[Any, ValueKind] = {
+    float: ValueKind("a number", _number, (float, int)),
+    int: ValueKind("a whole number", int, (int,)),
+    str: ValueKind("a text", str, (str,)),
+    bool: ValueKind("True or False", bool, (bool,)),
+    tuple[float, ...]: ValueKind("numbers with commas, as 20,100", _numbers, (tuple,)),
 }
 
 
@@ -82,7 +82,7 @@ class Parameter:
     """A declared parameter. usual: its value unless one is given, MISSING where one must be."""
 
     name: str
-    kind: Kind
+    kind: ValueKind
     usual: Any
 
     @property

@@ -17,9 +17,9 @@ from drivers.errors import InputError
 from drivers.files import read_text
 from hil.axis.axis_file import AxisConfig
 from hil.correction.store import compensation_in_force
-from hil.desk.axis_thread import Connection
+from hil.desk.axis_thread import DeskConnection
 from hil.desk.job import Job, Workplace, tell_unchecked
-from hil.desk.plan import OF_PROCEDURE, Move, Plan, Write
+from hil.desk.plan import OF_PROCEDURE, Move, Plan, PlannedWrite
 from hil.desk.zero_statement import NO_STATEMENT, ZeroStatement
 from hil.effects.user_code import in_short
 from hil.machine.events import Event, Listener, Point, silent
@@ -56,7 +56,7 @@ def procedure_plan(procedure: Procedure, axis: AxisConfig) -> Plan:
         axis.name,
         axis.drive.backend,
         (datum, *(replace(move, what="measure") for move in moves)),
-        (Write("rows", str(axis.store.directory)),),
+        (PlannedWrite("rows", str(axis.store.directory)),),
         how.home,
         how.reference_mm,
     )
@@ -112,7 +112,7 @@ def procedure_job(
             session.compensation = compensation
             session.time_offset_s = max(session.time_offset_s, campaign.last_time_s() - session.elapsed_s())
             passed_ns = round((session.elapsed_s() + session.time_offset_s) * NS_PER_S)
-            prepared = Axis(axis, Passwords(None, None), place.listener, Connection(place.drive, session))
+            prepared = Axis(axis, Passwords(None, None), place.listener, DeskConnection(place.drive, session))
             rows = _Rows(procedure, campaign, place.listener)
             prepared.confine(plan.moves, rows.first_run, session.clock.now_ns() - passed_ns)
             records = rows.measured(prepared)

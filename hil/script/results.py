@@ -166,14 +166,14 @@ class VerificationResult(MeasuredResult):
         if self.campaign is None:
             return super().certificate(path)
         from hil.desk.worker_process import Passes  # noqa: PLC0415
-        from hil.report.issue_certificate import Order, builder_key, made_certificate, write_signed  # noqa: PLC0415
+        from hil.report.issue_certificate import CertificateOrder, builder_key, made_certificate, write_signed  # noqa: PLC0415
         from hil.report.job import named_campaign  # noqa: PLC0415  (plots are slow to import)
 
         if Path(path).suffix.lower() != ".pdf":
             raise InputError("is no name of a certificate, expected one ending in .pdf", path=path)
         rows = self.campaign / f"{'uncorrected' if self.tables is None else 'verify'}.csv"
         axis, campaign = load_axis(self.axis.path), named_campaign(Passes(rows.stem, (rows,)))
-        made = made_certificate(Order(axis, [str(rows)], [campaign]))
+        made = made_certificate(CertificateOrder(axis, [str(rows)], [campaign]))
         write_signed(made, builder_key(axis, given=self._passwords.key), str(path))
         return Path(path)
 

@@ -16,7 +16,7 @@ import pytest
 from support.drive_rigs import BACKENDS, COUNTS_PER_REV, Backend, Rig, arrive, home
 
 from drivers.canopen.drive import CanOpenDrive, HomingSettings
-from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
+from drivers.correction_table import Directions, Interpolation, Nodes, Outside, RawFormat, RawTable, TableDescription
 from drivers.drive import Capability, ServoDrive
 from drivers.errors import FollowingErrorError, LimitError
 from drivers.modbus.drive_values import DriveValues
@@ -69,12 +69,12 @@ def _stream(drive: ServoDrive, *places_mm: float) -> None:
 @pytest.mark.parametrize(("unit", "um"), [("mm", 10.0), ("um", 0.01), ("counts", 0.0008), ("rev", 80.0)])
 def test_units_of_a_table_in_the_drive(unit: str, um: float) -> None:
     """Of 0.01 of each: a count is 1/12 500 mm = 0.08 µm, a motor revolution 100 000 of them = 8 mm."""
-    assert Quantity(unit, 0.01, -1000, 1000).um(GEARED) == pytest.approx(um, rel=1e-12)
+    assert RawFormat(unit, 0.01, -1000, 1000).um(GEARED) == pytest.approx(um, rel=1e-12)
 
 
 def test_what_a_drive_adds_by_its_table() -> None:
     """5 counts subtracted, where counts rise as the load goes back: 5 · 0.08 µm forward."""
-    quantity = Quantity("counts", 1.0, -1000, 1000)
+    quantity = RawFormat("counts", 1.0, -1000, 1000)
     kept = TableDescription(
         "table", 9, Nodes.EXPLICIT, Interpolation.LINEAR, Outside.HOLD, Directions.ONE, -1, quantity, quantity
     )

@@ -19,7 +19,7 @@ from support.torque_machines import (
     torque_curve,
 )
 
-from hil.backlash.result import LostMotion, Reversal, fitted_lost_motion, four_sample
+from hil.backlash.result import MeanLostMotion, Reversal, fitted_lost_motion, four_sample
 from hil.backlash.trace import ReversalTrace
 
 RULES, CAMPAIGNS = 200, 30
@@ -37,7 +37,7 @@ def peak(trace: ReversalTrace) -> float:
     return found
 
 
-def lost_motion_of(reversals: list[Reversal]) -> LostMotion:
+def lost_motion_of(reversals: list[Reversal]) -> MeanLostMotion:
     found = fitted_lost_motion(reversals)
     assert found is not None
     return found

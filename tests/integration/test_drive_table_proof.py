@@ -17,7 +17,7 @@ from hil.axis.axis_file import AxisConfig
 from hil.correction.compensation import Compensation
 from hil.correction.tables import DirectionalTable, TableSet
 from hil.drive_table.change import held_table
-from hil.drive_table.proof import Proof, ProofMotion, prove_by_drive, prove_by_instrument
+from hil.drive_table.proof import ProofMotion, TableProof, prove_by_drive, prove_by_instrument
 from hil.drive_table.quantise import drive_table, wanted_of
 from hil.machine.supervisor import Supervisor
 from hil.machine.watched_axis import WatchedAxis
@@ -37,7 +37,7 @@ def right(raw: RawTable) -> RawTable:
     return raw
 
 
-def measured(axis: AxisConfig, tables: TableSet, spoil: Spoil = right) -> Proof:
+def measured(axis: AxisConfig, tables: TableSet, spoil: Spoil = right) -> TableProof:
     """Written as a map that is wrong in some way would have it, and proven by the laser."""
     compensation = Compensation(tables)
     with connected(axis) as machine:

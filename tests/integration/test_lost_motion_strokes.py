@@ -18,7 +18,7 @@ from support.wind_up import moved_to
 from hil.correction.compensation import Compensation, MotionHistory
 from hil.correction.rise import STRAIGHT_PIECES, TWO_TANH, Rise
 from hil.correction.tables import DirectionalTable, SingleTable, TableMode, TableSet
-from hil.lost_motion.estimate import Estimate, estimate
+from hil.lost_motion.estimate import ReversalFit, estimate
 from hil.lost_motion.fit import MeasuredReversal, fit
 from sim_backends.plant.drive_train import DriveTrain, Guide, WindUp
 from sim_backends.plant.hysteresis import Backlash, LostMotion, Reversal
@@ -117,7 +117,7 @@ def a_train(rng: random.Random) -> DriveTrain:
     )
 
 
-def measured_strokes(axis: Axis) -> Estimate:
+def measured_strokes(axis: Axis) -> ReversalFit:
     """Strokes of 4 mm to and fro, at rest at places that grow from 2 µm on."""
     travels = [0.0, *np.geomspace(0.002, 1.9, 18).tolist()]
     axis.read_mm(4.0)

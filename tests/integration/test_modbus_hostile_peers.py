@@ -22,7 +22,7 @@ from drivers.clock import IO_SLICE_S, WallClock
 from drivers.errors import AbortError, BridgeError, LinkLostError, NoAnswerError, OtherAnswerError, ProtocolError
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.wire import PymodbusWire, Request
 from hil.app.main import main
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, pack_rtu, pack_tcp
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.outside
 TIMEOUT_S = 0.4  # a peer is a Python thread: on a busy machine it answers in tenths of a second
 PATIENT_S = 8.0  # a time-out that is not to be waited out
 ROOM_S = 3.0  # for a machine that is busy with other things
-HOLDING = Table.HOLDING
+HOLDING = AddressSpace.HOLDING
 STOP = Request.write(HOLDING, 0x2100, (2,))
 POLICY = LinkPolicy(read_retries=1, quiet_s=0.02)
 

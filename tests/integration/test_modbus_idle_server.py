@@ -8,7 +8,7 @@ import time
 
 from drivers.modbus.endpoint import TcpEndpoint
 from drivers.modbus.link import ModbusLink
-from drivers.modbus.plan import Table
+from drivers.modbus.plan import AddressSpace
 from drivers.modbus.wire import PymodbusWire
 from sim_backends.clock import SimClock
 
@@ -32,7 +32,7 @@ def test_a_write_after_the_server_hung_up_goes_over_a_new_connection() -> None:
         link.open()
         assert hung_up.wait(1.0)
         time.sleep(0.05)
-        link.write(1, Table.HOLDING, 10, (7,))
+        link.write(1, AddressSpace.HOLDING, 10, (7,))
         link.close()
         thread.join()
     assert len(requests) == 1

@@ -38,7 +38,7 @@ from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, ModbusLink
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.raw_parameters import ModbusLine, ModbusRawParameters
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import find_map
@@ -255,24 +255,24 @@ def link(endpoint: Endpoint) -> Iterator[ModbusLink]:
 # -- our client ------------------------------------------------------------------------------------------------------------
 def test_every_table_is_read_up_to_the_largest_request(link: ModbusLink) -> None:
     for start, count in ((0, 1), (17, 3), (100, 125), (SIZE - 1, 1)):
-        assert link.read(UNIT, Table.HOLDING, Span(start, count)) == tuple(HOLDING[start : start + count])
-        assert link.read(UNIT, Table.INPUT, Span(start, count)) == tuple(INPUTS[start : start + count])
+        assert link.read(UNIT, AddressSpace.HOLDING, Span(start, count)) == tuple(HOLDING[start : start + count])
+        assert link.read(UNIT, AddressSpace.INPUT, Span(start, count)) == tuple(INPUTS[start : start + count])
     for start, count in ((0, 1), (3, 8), (5, 19), (0, SIZE)):
-        assert link.read(UNIT, Table.COIL, Span(start, count)) == tuple(COILS[start : start + count])
-        assert link.read(UNIT, Table.DISCRETE, Span(start, count)) == tuple(DISCRETE[start : start + count])
+        assert link.read(UNIT, AddressSpace.COIL, Span(start, count)) == tuple(COILS[start : start + count])
+        assert link.read(UNIT, AddressSpace.DISCRETE, Span(start, count)) == tuple(DISCRETE[start : start + count])
 
 
 def test_everything_that_can_be_written_is(link: ModbusLink) -> None:
-    link.write(UNIT, Table.HOLDING, 4, (0xBEEF,))
-    link.write(UNIT, Table.HOLDING, 5, (0xCAFE,), single=False)
-    link.write(UNIT, Table.HOLDING, 10, tuple(range(100, 200)))
-    assert link.read(UNIT, Table.HOLDING, Span(3, 4)) == (HOLDING[3], 0xBEEF, 0xCAFE, HOLDING[6])
-    assert link.read(UNIT, Table.HOLDING, Span(9, 102)) == (HOLDING[9], *range(100, 200), HOLDING[110])
-    link.write(UNIT, Table.COIL, 0, (1,))
-    link.write(UNIT, Table.COIL, 1, (0,))
-    link.write(UNIT, Table.COIL, 8, (1, 1, 0, 0, 1, 1, 0, 0, 1, 1))
-    assert link.read(UNIT, Table.COIL, Span(0, 3)) == (1, 0, 0)
-    assert link.read(UNIT, Table.COIL, Span(7, 12)) == (1, 1, 1, 0, 0, 1, 1, 0, 0, 1, 1, 0)
+    link.write(UNIT, AddressSpace.HOLDING, 4, (0xBEEF,))
+    link.write(UNIT, AddressSpace.HOLDING, 5, (0xCAFE,), single=False)
+    link.write(UNIT, AddressSpace.HOLDING, 10, tuple(range(100, 200)))
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(3, 4)) == (HOLDING[3], 0xBEEF, 0xCAFE, HOLDING[6])
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(9, 102)) == (HOLDING[9], *range(100, 200), HOLDING[110])
+    link.write(UNIT, AddressSpace.COIL, 0, (1,))
+    link.write(UNIT, AddressSpace.COIL, 1, (0,))
+    link.write(UNIT, AddressSpace.COIL, 8, (1, 1, 0, 0, 1, 1, 0, 0, 1, 1))
+    assert link.read(UNIT, AddressSpace.COIL, Span(0, 3)) == (1, 0, 0)
+    assert link.read(UNIT, AddressSpace.COIL, Span(7, 12)) == (1, 1, 1, 0, 0, 1, 1, 0, 0, 1, 1, 0)
 
 
 def test_wide_values_come_back_in_every_order(link: ModbusLink) -> None:
@@ -281,18 +281,18 @@ def test_wide_values_come_back_in_every_order(link: ModbusLink) -> None:
         for word_order in Order:
             for byte_order in Order:
                 layout = Layout(kind, word_order, byte_order)
-                link.write(UNIT, Table.HOLDING, start, encode(value, layout))
-                assert decode(link.read(UNIT, Table.HOLDING, Span(start, layout.words)), layout) == value
+                link.write(UNIT, AddressSpace.HOLDING, start, encode(value, layout))
+                assert decode(link.read(UNIT, AddressSpace.HOLDING, Span(start, layout.words)), layout) == value
 
 
 def test_refusals_carry_their_code(link: ModbusLink) -> None:
     with pytest.raises(AbortError) as caught:
-        link.read(UNIT, Table.HOLDING, Span(SIZE, 1))
+        link.read(UNIT, AddressSpace.HOLDING, Span(SIZE, 1))
     assert caught.value.code == 2
     with pytest.raises(AbortError) as caught:
-        link.write(UNIT, Table.HOLDING, SIZE + 100, (1,))
+        link.write(UNIT, AddressSpace.HOLDING, SIZE + 100, (1,))
     assert caught.value.code == 2
-    assert link.read(UNIT, Table.HOLDING, Span(0, 1)) == (HOLDING[0],)
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(0, 1)) == (HOLDING[0],)
 
 
 def test_a_register_map_reads_a_foreign_server_in_one_request_per_table(link: ModbusLink) -> None:
@@ -304,7 +304,7 @@ def test_a_register_map_reads_a_foreign_server_in_one_request_per_table(link: Mo
     assert raw["position"] == 0x1002 << 16 | 0x1001  # input registers 30002 and 30003, low word first
     assert raw["in_position"] == DISCRETE[3]
     access.write({"target": -5, "target_speed": 70_000, "ramp": 9})
-    assert link.read(UNIT, Table.HOLDING, Span(0, 6)) == (0xFFFB, 0xFFFF, 70_000 - 65_536, 1, 9, 0)
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(0, 6)) == (0xFFFB, 0xFFFF, 70_000 - 65_536, 1, 9, 0)
 
 
 def test_a_correction_table_goes_into_a_foreign_server_and_out_again(link: ModbusLink, tmp_path: Path) -> None:
@@ -315,7 +315,7 @@ def test_a_correction_table_goes_into_a_foreign_server_and_out_again(link: Modbu
     path.write_text(text, encoding="utf-8")
     drive_map = load_drive_map(path)
     assert drive_map.table is not None
-    link.write(UNIT, Table.HOLDING, 120, (0,) * 10)
+    link.write(UNIT, AddressSpace.HOLDING, 120, (0,) * 10)
     table = ModbusCorrectionTable("X", RegisterAccess(link, UNIT, drive_map.registers), drive_map.table, WearLedger())
     assert (table.read(), table.enabled()) == (RawTable(), False)
     wanted = RawTable(tuple(range(-40, 40)), (), (), -70_000, 123_456, 321)
@@ -323,9 +323,9 @@ def test_a_correction_table_goes_into_a_foreign_server_and_out_again(link: Modbu
     assert table.read() == wanted
     table.switch(True)
     assert table.enabled()
-    assert link.read(UNIT, Table.HOLDING, Span(120, 7)) == (1, 80, 61_072, 65_534, 57_920, 1, 321)
-    assert link.read(UNIT, Table.HOLDING, Span(208, 3)) == (HOLDING[208], 65_496, 65_497)
-    assert link.read(UNIT, Table.HOLDING, Span(288, 2)) == (39, HOLDING[289])
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(120, 7)) == (1, 80, 61_072, 65_534, 57_920, 1, 321)
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(208, 3)) == (HOLDING[208], 65_496, 65_497)
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(288, 2)) == (39, HOLDING[289])
 
 
 def test_a_parameter_set_goes_into_a_foreign_server_and_out_again(link: ModbusLink, tmp_path: Path) -> None:
@@ -338,7 +338,7 @@ def test_a_parameter_set_goes_into_a_foreign_server_and_out_again(link: ModbusLi
     assert found["p0"] == HOLDING[place(0)]
     report = download([Target(drive, NEW, journal)], store=True)[0]
     assert (report.ending, report.stored, report.good) == (Ending.WRITTEN, True, True)
-    assert link.read(UNIT, Table.HOLDING, Span(place(0), 1)) == (NEW.entries[0].raw,)
+    assert link.read(UNIT, AddressSpace.HOLDING, Span(place(0), 1)) == (NEW.entries[0].raw,)
     assert compare([(drive, NEW)])[0].same
 
     def cut_off(stage: str, _drive: str, done: int, _total: int) -> None:
@@ -363,8 +363,8 @@ def test_another_unit_on_a_serial_line_stays_silent(c_slave: Path) -> None:
         link.open()
         try:
             with pytest.raises(NoAnswerError):
-                link.write(UNIT + 1, Table.HOLDING, 0, (1,), doubt=Doubt.RAISE)
-            assert link.read(UNIT, Table.HOLDING, Span(0, 2)) == (HOLDING[0], HOLDING[1])
+                link.write(UNIT + 1, AddressSpace.HOLDING, 0, (1,), doubt=Doubt.RAISE)
+            assert link.read(UNIT, AddressSpace.HOLDING, Span(0, 2)) == (HOLDING[0], HOLDING[1])
         finally:
             link.close()
 

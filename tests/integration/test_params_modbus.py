@@ -22,7 +22,7 @@ from hil.parameters.download import download
 from hil.parameters.journal import Journal
 from hil.parameters.preflight import match_set, predict
 from hil.parameters.recover import recover
-from hil.parameters.report import Ending, Verdict
+from hil.parameters.report import Ending, ParameterVerdict
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
 from hil.parameters.transaction import Target
@@ -132,7 +132,7 @@ def test_a_refused_neighbour_is_named(forty: Path, tmp_path: Path) -> None:
     report = download([Target(drive, NEW, Journal(tmp_path))])[0]
     assert report.ending is Ending.PUT_BACK
     assert _side(line.face.ram) == "old"
-    assert {row.verdict for row in report.rows} == {Verdict.PUT_BACK}
+    assert {row.verdict for row in report.rows} == {ParameterVerdict.PUT_BACK}
 
 
 def test_what_is_refused_before_anything_is_written(forty: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ if not __package__:
 from study.endurance import resident_mb
 
 from drivers.drive import DriveState
-from hil.desk.event_log import EVENTS, MOST_BYTES, EventLog, Kind
+from hil.desk.event_log import EVENTS, MOST_BYTES, EventLog, LogKind
 from hil.desk.live import RATE_HZ, Board, Live
 
 DAY_S = 86_400.0
@@ -98,11 +98,11 @@ def _event(rng: random.Random, log: EventLog, found: Week) -> None:
     before = log.number
     drawn = rng.random()
     if drawn < 0.05:
-        log.add(Kind.ALARM, "job.failed", cause="the drive went into a fault", remedy="fault", job=rng.choice(JOBS))
+        log.add(LogKind.ALARM, "job.failed", cause="the drive went into a fault", remedy="fault", job=rng.choice(JOBS))
     elif drawn < 0.10 and log.alarms():
         log.acknowledge(rng.choice(log.alarms()).number, "browser 1")
     else:
-        log.add(Kind.JOB, rng.choice(("job.started", "job.done")), who="browser 1", job=rng.choice(JOBS))
+        log.add(LogKind.JOB, rng.choice(("job.started", "job.done")), who="browser 1", job=rng.choice(JOBS))
     found.events += 1
     found.gaps += log.number != before + 1
     found.largest_standing = max(found.largest_standing, len(log.alarms()))

@@ -10,7 +10,7 @@ from typing import Any, cast
 import pytest
 from nicegui import run, ui
 
-from hil.ui.screen.pieces import Reading
+from hil.ui.screen.pieces import FolderContents
 from hil.ui.screen.view import View
 
 
@@ -37,7 +37,7 @@ def test_what_was_read_while_the_job_ran_is_not_current_once_it_is_over(monkeypa
 
     monkeypatch.setattr(ui, "timer", lambda _period_s, look: looks.append(look))
     monkeypatch.setattr(run, "io_bound", at_once)
-    reading = Reading(cast(View, SimpleNamespace(desk=desk, attempt=attempt)), lambda: f"while {desk.phase}")
+    reading = FolderContents(cast(View, SimpleNamespace(desk=desk, attempt=attempt)), lambda: f"while {desk.phase}")
     assert (reading.value, reading.current) == (None, False)
     asyncio.run(looks[0]())
     assert (reading.value, reading.current) == ("while running", False)

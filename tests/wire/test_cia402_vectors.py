@@ -7,7 +7,7 @@ import pytest
 
 from drivers.cia402 import state_machine
 from drivers.cia402.modes import HomingStatus, Mode, decode_homing
-from drivers.cia402.state_machine import Command, Event, decode_command, decode_state
+from drivers.cia402.state_machine import Command, TransitionCause, decode_command, decode_state
 from drivers.drive import DriveState as S
 
 
@@ -86,8 +86,8 @@ def test_only_the_rising_edge_resets_a_fault() -> None:
 
 # number, from, cause, to: figure 9, written out
 ARROWS = [
-    (0, S.UNKNOWN, Event.AUTOMATIC, S.NOT_READY),
-    (1, S.NOT_READY, Event.AUTOMATIC, S.SWITCH_ON_DISABLED),
+    (0, S.UNKNOWN, TransitionCause.AUTOMATIC, S.NOT_READY),
+    (1, S.NOT_READY, TransitionCause.AUTOMATIC, S.SWITCH_ON_DISABLED),
     (2, S.SWITCH_ON_DISABLED, Command.SHUTDOWN, S.READY),
     (3, S.READY, Command.SWITCH_ON, S.SWITCHED_ON),
     (4, S.SWITCHED_ON, Command.ENABLE_OPERATION, S.ENABLED),
@@ -100,22 +100,22 @@ ARROWS = [
     (10, S.SWITCHED_ON, Command.DISABLE_VOLTAGE, S.SWITCH_ON_DISABLED),
     (10, S.SWITCHED_ON, Command.QUICK_STOP, S.SWITCH_ON_DISABLED),
     (11, S.ENABLED, Command.QUICK_STOP, S.QUICK_STOP),
-    (12, S.QUICK_STOP, Event.AUTOMATIC, S.SWITCH_ON_DISABLED),
+    (12, S.QUICK_STOP, TransitionCause.AUTOMATIC, S.SWITCH_ON_DISABLED),
     (12, S.QUICK_STOP, Command.DISABLE_VOLTAGE, S.SWITCH_ON_DISABLED),
-    (13, S.NOT_READY, Event.FAULT, S.FAULT_REACTION),
-    (13, S.SWITCH_ON_DISABLED, Event.FAULT, S.FAULT_REACTION),
-    (13, S.READY, Event.FAULT, S.FAULT_REACTION),
-    (13, S.SWITCHED_ON, Event.FAULT, S.FAULT_REACTION),
-    (13, S.ENABLED, Event.FAULT, S.FAULT_REACTION),
-    (13, S.QUICK_STOP, Event.FAULT, S.FAULT_REACTION),
-    (14, S.FAULT_REACTION, Event.AUTOMATIC, S.FAULT),
-    (15, S.FAULT, Event.FAULT_RESET, S.SWITCH_ON_DISABLED),
+    (13, S.NOT_READY, TransitionCause.FAULT, S.FAULT_REACTION),
+    (13, S.SWITCH_ON_DISABLED, TransitionCause.FAULT, S.FAULT_REACTION),
+    (13, S.READY, TransitionCause.FAULT, S.FAULT_REACTION),
+    (13, S.SWITCHED_ON, TransitionCause.FAULT, S.FAULT_REACTION),
+    (13, S.ENABLED, TransitionCause.FAULT, S.FAULT_REACTION),
+    (13, S.QUICK_STOP, TransitionCause.FAULT, S.FAULT_REACTION),
+    (14, S.FAULT_REACTION, TransitionCause.AUTOMATIC, S.FAULT),
+    (15, S.FAULT, TransitionCause.FAULT_RESET, S.SWITCH_ON_DISABLED),
     (16, S.QUICK_STOP, Command.ENABLE_OPERATION, S.ENABLED),
 ]
 
 
 @pytest.mark.parametrize(("number", "source", "cause", "target"), ARROWS)
-def test_each_arrow_of_the_figure(number: int, source: S, cause: Command | Event, target: S) -> None:
+def test_each_arrow_of_the_figure(number: int, source: S, cause: Command | TransitionCause, target: S) -> None:
     assert state_machine.next_state(source, cause) == (number, target)
 
 
@@ -123,9 +123,9 @@ def test_no_arrow_but_those_of_the_figure() -> None:
     drawn = {(source, cause) for _, source, cause, _ in ARROWS}
     # "enable operation" in one word from ready to switch on: 3, which 4 then follows (note to the figure)
     drawn.add((S.READY, Command.ENABLE_OPERATION))
-    drawn.add((S.UNKNOWN, Event.FAULT))  # 13 leaves from anywhere
+    drawn.add((S.UNKNOWN, TransitionCause.FAULT))  # 13 leaves from anywhere
     for state in S:
-        for cause in (*Command, *Event):
+        for cause in (*Command, *TransitionCause):
             if (state, cause) not in drawn:
                 assert state_machine.next_state(state, cause) is None, (state, cause)
 

@@ -15,7 +15,7 @@ import pytest
 
 from drivers.errors import AbortError
 from drivers.modbus.endpoint import TcpEndpoint
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.wire import PymodbusWire, Request
 from sim_backends.modbus_framing import Frame, RtuDecoder, TcpDecoder, crc16, pack_rtu, pack_tcp
 from sim_backends.modbus_registers import Bank, Cell, Space, answer
@@ -186,14 +186,14 @@ def replaying(reply_pdu: str) -> Iterator[tuple[PymodbusWire, list[bytes]]]:
 @pytest.mark.parametrize(
     ("request_", "vector", "values"),
     [
-        (Request.read(Table.COIL, Span(0x13, 19)), READ_COILS, COILS_20_TO_38),
-        (Request.read(Table.DISCRETE, Span(0xC4, 22)), READ_DISCRETE, INPUTS_197_TO_218),
-        (Request.read(Table.HOLDING, Span(0x6B, 3)), READ_HOLDING, (0x022B, 0, 0x64)),
-        (Request.read(Table.INPUT, Span(8, 1)), READ_INPUT, (10,)),
-        (Request.write(Table.COIL, 0xAC, (1,)), WRITE_COIL, ()),
-        (Request.write(Table.HOLDING, 1, (3,)), WRITE_REGISTER, ()),
-        (Request.write(Table.COIL, 0x13, (1, 0, 1, 1, 0, 0, 1, 1, 1, 0)), WRITE_COILS, ()),
-        (Request.write(Table.HOLDING, 1, (0x0A, 0x0102)), WRITE_REGISTERS, ()),
+        (Request.read(AddressSpace.COIL, Span(0x13, 19)), READ_COILS, COILS_20_TO_38),
+        (Request.read(AddressSpace.DISCRETE, Span(0xC4, 22)), READ_DISCRETE, INPUTS_197_TO_218),
+        (Request.read(AddressSpace.HOLDING, Span(0x6B, 3)), READ_HOLDING, (0x022B, 0, 0x64)),
+        (Request.read(AddressSpace.INPUT, Span(8, 1)), READ_INPUT, (10,)),
+        (Request.write(AddressSpace.COIL, 0xAC, (1,)), WRITE_COIL, ()),
+        (Request.write(AddressSpace.HOLDING, 1, (3,)), WRITE_REGISTER, ()),
+        (Request.write(AddressSpace.COIL, 0x13, (1, 0, 1, 1, 0, 0, 1, 1, 1, 0)), WRITE_COILS, ()),
+        (Request.write(AddressSpace.HOLDING, 1, (0x0A, 0x0102)), WRITE_REGISTERS, ()),
     ],
 )
 def test_our_client_sends_the_examples_and_reads_their_replies(
@@ -210,5 +210,5 @@ def test_our_client_sends_the_examples_and_reads_their_replies(
 
 def test_our_client_reads_the_example_of_an_exception() -> None:
     with replaying("81 02") as (wire, _), pytest.raises(AbortError, match="illegal data address") as caught:
-        wire.exchange(1, Request.read(Table.COIL, Span(0x04A1, 1)))
+        wire.exchange(1, Request.read(AddressSpace.COIL, Span(0x04A1, 1)))
     assert caught.value.code == 2

@@ -15,7 +15,7 @@ from hil.desk.plan import text_key
 from hil.desk.progress import Phase, Progress
 from hil.desk.roles import Role
 from hil.desk.unfinished import UnfinishedWork
-from hil.ui.screen.pieces import Reading, ask_for_builder, show_share, take_control
+from hil.ui.screen.pieces import FolderContents, ask_for_builder, show_share, take_control
 from hil.ui.screen.texts import LANGUAGES, Texts
 from hil.ui.screen.view import View
 
@@ -178,7 +178,7 @@ def draw_rail(view: View, here: Page, pages: Sequence[Page]) -> None:
             with ui.link(target=f"/axis/{view.desk.name}/{one.name}").classes("here" if one is here else ""):
                 ui.label(view.t(f"page.{one.name}"))
                 marks[one.name] = ui.label().classes("hil-mark")
-    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, lambda: view.unfinished(view.desk.axis))
+    kept: FolderContents[tuple[UnfinishedWork, ...]] = FolderContents(view, lambda: view.unfinished(view.desk.axis))
     shown: dict[str, str] = {}
 
     def refresh() -> None:

@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("the screen needs the panel extra: pip install 'hil[panel]'") from error
     from hil.desk.desk import Desk  # noqa: PLC0415
 
-    access = server.Access(args.bind, args.port, tls, token, tuple(args.name))
+    access = server.ServerAccess(args.bind, args.port, tls, token, tuple(args.name))
     with server.bound(access) as listening, ExitStack() as stack:
         numbers = itertools.count(1)
         desks = [stack.enter_context(Desk(axis, pace=args.pace, numbers=numbers)) for axis in axes]

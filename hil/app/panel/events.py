@@ -9,16 +9,23 @@ from functools import partial
 from nicegui import ui
 
 from hil.desk.desk import Desk
-from hil.desk.event_log import Entry, Kind
+from hil.desk.event_log import LogEntry, LogKind
 from hil.desk.plan import text_key
 from hil.ui.screen.view import View
 
 FILTERS = ("all", "alarm", "job", "write")
-SIGNS = {Kind.ALARM: "!", Kind.JOB: "▷", Kind.WRITE: "✎", Kind.STOP: "■", Kind.CONTROL: "◦", Kind.ACKNOWLEDGED: "✓"}
+SIGNS = {
+    LogKind.ALARM: "!",
+    LogKind.JOB: "▷",
+    LogKind.WRITE: "✎",
+    LogKind.STOP: "■",
+    LogKind.CONTROL: "◦",
+    LogKind.ACKNOWLEDGED: "✓",
+}
 MOST_SHOWN = 100
 
 
-def sentence(view: View, entry: Entry) -> str:
+def sentence(view: View, entry: LogEntry) -> str:
     """What happened, in the page's language."""
     figures = {
         name: view.t.known("job", text_key(text)) if name == "job" else text for name, text in entry.figures.items()
@@ -72,7 +79,7 @@ def draw_events(view: View) -> None:
     view.every(refresh)
 
 
-def entries(view: View, which: str) -> list[Entry]:
+def entries(view: View, which: str) -> list[LogEntry]:
     """The entries of all axes of one filter, the newest first."""
     found = [entry for desk in view.desks for entry in desk.events.entries()]
     return sorted(
@@ -80,7 +87,7 @@ def entries(view: View, which: str) -> list[Entry]:
     )
 
 
-def _draw_entry(view: View, entry: Entry) -> None:
+def _draw_entry(view: View, entry: LogEntry) -> None:
     with ui.element("div").classes(f"hil-entry {entry.kind.value}"):
         ui.label(entry.time.astimezone().strftime("%Y-%m-%d %H:%M:%S")).classes("hil-name")
         ui.label(SIGNS[entry.kind])
@@ -107,7 +114,7 @@ def _save(view: View) -> None:
 def draw_alarm(view: View) -> None:
     """Draw the latest alarm that stands, of any axis: what, when, where, why, and what to do. It is there until it is acknowledged."""
     t = view.t
-    shown: list[tuple[Desk, Entry]] = []
+    shown: list[tuple[Desk, LogEntry]] = []
     card = view.named(ui.element("section").classes("hil-alarm").props("role=alert"), "alarm")
     with card:
         ui.label("!").classes("hil-alarm-sign")
@@ -133,6 +140,6 @@ def draw_alarm(view: View) -> None:
     view.every(refresh)
 
 
-def _acknowledge(view: View, shown: list[tuple[Desk, Entry]]) -> None:
+def _acknowledge(view: View, shown: list[tuple[Desk, LogEntry]]) -> None:
     for desk, entry in shown:
         desk.events.acknowledge(entry.number, view.who)

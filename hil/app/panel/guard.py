@@ -39,7 +39,7 @@ _FOREIGN = ("cross-site", "same-site")
 
 
 @dataclass(frozen=True)
-class Form:
+class TokenForm:
     """What a browser without the token is shown. page: HTML that asks for it; wrong: said of a wrong one; wait: said while none is
     looked at, with {seconds}."""
 
@@ -65,7 +65,7 @@ class Guard:
         app: App,
         hosts: Iterable[str],
         access_token: str | None,
-        form: Form,
+        form: TokenForm,
         *,
         secure: bool,
         proxied: Iterable[str] = (),

@@ -23,7 +23,7 @@ from nicegui import app as nicegui_app
 from hil.app.panel.bar import Page
 from hil.app.panel.elsewhere import STATIC, no_page, tell_malformed_frames_in_a_line
 from hil.app.panel.frame import draw_page
-from hil.app.panel.guard import LOGIN, App, Form, Guard
+from hil.app.panel.guard import LOGIN, App, Guard, TokenForm
 from hil.axis.axis_file import AxisConfig, DriveAxis
 from hil.backlash.job import unrestored
 from hil.backlash.settings import NOTE
@@ -44,7 +44,7 @@ _FORM = (
 
 
 @dataclass(frozen=True)
-class Access:
+class ServerAccess:
     """Address and access rules of the server. tls: certificate and key file; token: access token; both None on loopback.
 
     names: further allowed host names.
@@ -87,7 +87,7 @@ class Server(uvicorn.Server):
 
 
 def serve(
-    desks: Sequence[Desk], access: Access, language: str, listening: socket.socket, all_pages: Sequence[Page]
+    desks: Sequence[Desk], access: ServerAccess, language: str, listening: socket.socket, all_pages: Sequence[Page]
 ) -> None:
     """Serve until SIGINT or SIGTERM. listening: a listening socket; all_pages: in the order of the navigation."""
     app = guarded(application(desks, language, all_pages), access, language)
@@ -106,7 +106,7 @@ def serve(
     Server(config, desks).run(sockets=[listening])
 
 
-def bound(access: Access) -> socket.socket:
+def bound(access: ServerAccess) -> socket.socket:
     """A listening socket on the address of `access`. Raises OSError."""
     family = socket.AF_INET6 if ":" in access.bind else socket.AF_INET
     listening = socket.socket(family, socket.SOCK_STREAM)
@@ -120,11 +120,11 @@ def bound(access: Access) -> socket.socket:
     return listening
 
 
-def guarded(app: FastAPI, access: Access, language: str) -> App:
+def guarded(app: FastAPI, access: ServerAccess, language: str) -> App:
     """The application behind its guard."""
     t = Texts(language)
     page = _FORM.format(action=LOGIN, label=escape(t("access.token")), button=escape(t("go.screen")))
-    form = Form(page, t("access.wrong"), t("access.wait"))
+    form = TokenForm(page, t("access.wrong"), t("access.wait"))
     hosts = [*LOOPBACK, access.bind]
     return Guard(app, hosts, access.token, form, secure=access.tls is not None, proxied=access.names)
 

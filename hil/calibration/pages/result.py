@@ -15,11 +15,11 @@ from hil.calibration.page_data import SHOWN, STAGES, CalibrationScreen, Measured
 from hil.calibration.pages.typed_tables import TypedTables
 from hil.correction.tables import Band, SignedSections
 from hil.figures.verdict import Accuracy, Decision
-from hil.ui.screen.drawings import Curve, Drawing, Options, curves
-from hil.ui.screen.pieces import Reading, Table, tables_written
+from hil.ui.screen.drawings import Curve, Options, RedrawnChart, curves
+from hil.ui.screen.pieces import FolderContents, ScreenTable, tables_written
 from hil.ui.screen.view import Refresh, View
 
-Kept = Reading[CalibrationScreen]
+Kept = FolderContents[CalibrationScreen]
 BAND, BAND_PLUS, BAND_MINUS = "#009e7333", "#0072b240", "#d55e0040"
 """Of the band: where both directions have one sign; of the + and of the − direction where they differ."""
 _SIGN = {1: "+", -1: "−"}
@@ -39,7 +39,7 @@ def draw_accuracy(view: View, kept: Kept) -> Refresh:
             now = view.value("calibrate.now", "µm", small=True)
             before = view.value("calibrate.before", "µm", small=True)
 
-    tables = Reading(view, partial(tables_written, view.desk))
+    tables = FolderContents(view, partial(tables_written, view.desk))
 
     def refresh() -> None:
         screen = kept.value
@@ -195,7 +195,7 @@ def _signs_text(view: View, signs: Sequence[SignedSections]) -> str:
 
 def draw_curves(view: View, axis: AxisConfig, kept: Kept) -> tuple[ui.element, Refresh]:
     with view.card("calibrate.curves", name="calibrate.curves.card") as card:
-        drawing = Drawing(view, "calibrate.curves")
+        drawing = RedrawnChart(view, "calibrate.curves")
 
     def refresh() -> None:
         screen = kept.value
@@ -256,7 +256,7 @@ def draw_figures(view: View, axis: AxisConfig, kept: Kept) -> Refresh:
     t = view.t
     with view.card("calibrate.figures", name="calibrate.figures.card").classes("full-width"):
         columns = ["calibrate.head.figure", *(f"calibrate.stage.{name}" for name in STAGES)]
-        table = Table(view, "calibrate.figures", columns)
+        table = ScreenTable(view, "calibrate.figures", columns)
         known = "calibrate.uncertain" if axis.uncertainty is not None else "calibrate.not_uncertain"
         view.named(ui.label(t(known)).classes("hil-name"), "calibrate.uncertainty")
     shown: list[CalibrationScreen] = []

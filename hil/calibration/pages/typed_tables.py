@@ -13,13 +13,13 @@ from drivers.errors import InputError
 from drivers.files import decode_text
 from hil.axis.axis_file import AxisConfig
 from hil.calibration import job as calibrate
-from hil.calibration.job import STRAIGHTNESS, Across, Part, beside_stored, kept_text, manual_tables, parts_of
+from hil.calibration.job import STRAIGHTNESS, Across, TablePart, beside_stored, kept_text, manual_tables, parts_of
 from hil.calibration.straightness import StraightnessResult
 from hil.correction.compensation import Compensation
 from hil.correction.manual import read_backlash, read_signs, read_straightness
 from hil.correction.tables import DirectionalTable, SignedSections, SingleTable
 from hil.desk.job import Job
-from hil.ui.screen.pieces import Latest, Reading, Table
+from hil.ui.screen.pieces import FolderContents, Latest, ScreenTable
 from hil.ui.screen.view import Refresh, View
 
 TYPED, TYPED_STRAIGHTNESS = "typed-tables.csv", "typed-straightness.csv"
@@ -63,7 +63,7 @@ class TypedTables:
     def draw(self) -> Refresh:
         """Draws the card, closed at first; returns its refresh."""
         view, t = self._view, self._view.t
-        stored = Reading(view, self._stored)
+        stored = FolderContents(view, self._stored)
         with (
             view.card("calibrate.manual.title", name="calibrate.manual"),
             ui.expansion(t("calibrate.manual.open")) as more,
@@ -75,7 +75,7 @@ class TypedTables:
                     self._area(name)
                 if self._axis.correction.band is not None:
                     self._area("signs", _signs_csv(self._axis.correction.signs))
-                parts = Table(
+                parts = ScreenTable(
                     view, "calibrate.stored", [f"calibrate.stored.{name}" for name in ("part", "figures")], words=2
                 )
             with ui.row().classes("items-center"):
@@ -152,7 +152,7 @@ class TypedTables:
             area = ui.textarea(value=text).props("outlined").classes("full-width")
             self._areas[name] = self._view.named(area, key)
 
-    def _stored(self) -> dict[str, Part]:
+    def _stored(self) -> dict[str, TablePart]:
         """The parts of the stored tables, as far as this browser may read them."""
         store = self._view.desk.rights.store if self._view.in_control else None
         stored = None if store is None else store.stored()
@@ -197,11 +197,11 @@ class TypedTables:
         """Asks, and takes what is stored out of force."""
         await self._ask_and_run(calibrate.withdrawal_job(self._axis), {})
 
-    async def _ask_and_run(self, job: Job, new: Mapping[str, Part]) -> None:
+    async def _ask_and_run(self, job: Job, new: Mapping[str, TablePart]) -> None:
         """new: the parts that will be stored, shown beside those of now."""
         view, t = self._view, self._view.t
         read = await view.in_worker_thread(self._stored)
-        old: dict[str, Part] = read if isinstance(read, dict) else {}
+        old: dict[str, TablePart] = read if isinstance(read, dict) else {}
         lines = [
             t(
                 "calibrate.change",
@@ -220,7 +220,7 @@ def _signs_csv(signs: Sequence[SignedSections]) -> str:
     return "\n".join(["from_mm,to_mm,plus,minus", *rows, ""])
 
 
-def _short(view: View, part: Part | None) -> str:
+def _short(view: View, part: TablePart | None) -> str:
     """A part in short, with its unit; a dash for none."""
     t = view.t
     if part is None:

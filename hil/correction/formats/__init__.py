@@ -53,7 +53,7 @@ class Controller:
 
 
 @dataclass(frozen=True)
-class Measurement:
+class MeasurementFormat:
     """A format of measurements: its settings class, the conversion of a file to records (`load`), and the remedy."""
 
     name: str
@@ -158,22 +158,22 @@ CONTROLLERS: tuple[Controller, ...] = (
     Controller("mach4", mach.Mach4Settings, mach.export, mach.load, _SCREW_MAP),
 )
 
-MEASUREMENTS: tuple[Measurement, ...] = (
-    Measurement("keysight", keysight.KeysightSettings, keysight.load, f"LinearErr holds errors: {_ERRORS}"),
-    Measurement("renishaw", renishaw.RenishawSettings, renishaw.load, f"DEVIATIONS holds µm: {_ERRORS}"),
-    Measurement(
+MEASUREMENTS: tuple[MeasurementFormat, ...] = (
+    MeasurementFormat("keysight", keysight.KeysightSettings, keysight.load, f"LinearErr holds errors: {_ERRORS}"),
+    MeasurementFormat("renishaw", renishaw.RenishawSettings, renishaw.load, f"DEVIATIONS holds µm: {_ERRORS}"),
+    MeasurementFormat(
         "lines",
         lines.LinesSettings,
         lines.load,
         "name the group of the pattern measured_<unit> for positions, error_<unit> for errors (pattern)",
     ),
-    Measurement(
+    MeasurementFormat(
         "csv",
         measured_csv.MeasuredCsvSettings,
         measured_csv.load,
         "give measured_mm=HEADER for positions, error_um=HEADER for errors, with :UNIT where it is another (columns)",
     ),
-    Measurement(
+    MeasurementFormat(
         "iso-wide",
         wide_iso.WideIsoSettings,
         wide_iso.load,

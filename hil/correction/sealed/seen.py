@@ -20,7 +20,7 @@ from hil.records.files import read_note
 
 
 @dataclass(frozen=True)
-class Seen:
+class SeenFile:
     """A sealed file. id, sha256, builder (fingerprint): in hex; counter: 0 for a file of version 1; date: "" for one."""
 
     id: str
@@ -30,7 +30,7 @@ class Seen:
     sha256: str
 
     @classmethod
-    def of(cls, info: SealedInfo) -> Seen:
+    def of(cls, info: SealedInfo) -> SeenFile:
         """What a checked file states."""
         binding = info.binding
         counter, date = (0, "") if binding is None else (binding.counter, binding.date)
@@ -46,7 +46,7 @@ def check_seen(note: Path, info: SealedInfo) -> None:
     Raises ReplacedError for an older file, another one, or another of the same number; InputError for a note that cannot be read
     or written.
     """
-    now = Seen.of(info)
+    now = SeenFile.of(info)
     last = read_note(note, _read, "does not say which sealed file was used before")
     if last is not None and last.id != now.id:
         raise _replaced(
@@ -62,15 +62,15 @@ def check_seen(note: Path, info: SealedInfo) -> None:
 
 def remember(note: Path, info: SealedInfo) -> None:
     """Put this file into the note, whatever was there: the builder has made or accepted it. Raises InputError."""
-    replace_file(note, (json.dumps(asdict(Seen.of(info)), indent=1) + "\n").encode())
+    replace_file(note, (json.dumps(asdict(SeenFile.of(info)), indent=1) + "\n").encode())
 
 
 def _replaced(what: str) -> ReplacedError:
     return ReplacedError(f"{what}; the builder accepts it with `hil sign --accept AXIS.toml`")
 
 
-def _read(form: Any) -> Seen:
-    seen = Seen(**form)
+def _read(form: Any) -> SeenFile:
+    seen = SeenFile(**form)
     texts = (seen.id, seen.date, seen.builder, seen.sha256)
     if type(seen.counter) is not int or not all(isinstance(text, str) for text in texts):
         raise ValueError("types")

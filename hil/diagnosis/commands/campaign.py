@@ -13,7 +13,7 @@ from hil.axis.axis_file import AxisConfig, load_axis
 from hil.diagnosis.loop.next_run import means_of_measurement
 from hil.diagnosis.next.check_campaign import CampaignCheck, check_campaign, repeats_of
 from hil.diagnosis.next.design import design, plan_minutes
-from hil.diagnosis.next.planned_run import Means, Point
+from hil.diagnosis.next.planned_run import Means, PlannedPoint
 from hil.diagnosis.next.plans import to_plan
 from hil.effects.user_effects import attributing_errors, catalogue_with, check_on
 from hil.ui.terminal.output import print_facts, print_table, write_json
@@ -62,7 +62,7 @@ def means_of_axis(axis: AxisConfig) -> Means:
     )
 
 
-def plan_facts(points: tuple[Point, ...], minutes: float) -> dict[str, float | int]:
+def plan_facts(points: tuple[PlannedPoint, ...], minutes: float) -> dict[str, float | int]:
     """Figures of a plan: runs, rows, repeats, minutes."""
     target_mm, direction = np.array([(point.target_mm, float(point.direction)) for point in points]).reshape(-1, 2).T
     return {

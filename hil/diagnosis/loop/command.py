@@ -11,7 +11,7 @@ from drivers.files import replace_file
 from hil.axis.axis_file import AxisConfig, accuracy_of, load_axis
 from hil.calibration.explore import Exploration, ExploringRun
 from hil.calibration.job import Verification, run_proof
-from hil.desk.plan import Write, measuring_plan
+from hil.desk.plan import PlannedWrite, measuring_plan
 from hil.diagnosis import Diagnosis
 from hil.diagnosis.loop.job import loop_is_good, loop_stages, run_loop
 from hil.diagnosis.loop.jobs.stored import LABELS_EXPLAINED, STAGE_LABELS
@@ -89,7 +89,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _dry_run(args: argparse.Namespace, axis: AxisConfig, plan: list[ExploringRun] | None) -> int:
     steps = bidirectional_steps(axis.measurement.targets_mm, axis.measurement.runs)
-    writes = [Write("", f"rows below {axis.store.directory}"), Write("tables", str(axis.tables_path))]
+    writes = [PlannedWrite("", f"rows below {axis.store.directory}"), PlannedWrite("tables", str(axis.tables_path))]
     print_plan(axis, measuring_plan(axis, steps, writes))
     rows = (
         f"the {sum(len(part.steps) for part in plan)} rows of {args.plan}"

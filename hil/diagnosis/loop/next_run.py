@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from hil.axis.axis_file import MeasurementConfig
 from hil.calibration.explore import ExploringRun
-from hil.diagnosis.next.planned_run import Means, Point
+from hil.diagnosis.next.planned_run import Means, PlannedPoint
 from hil.machine.conditions import SET_UP
 from hil.machine.measure import Step
 from hil.machine.session import AxisSession
@@ -44,7 +44,7 @@ def means_of(session: AxisSession) -> Means:
     )
 
 
-def runs_of(points: Sequence[Point]) -> list[ExploringRun]:
+def runs_of(points: Sequence[PlannedPoint]) -> list[ExploringRun]:
     """Planned rows as parts of a campaign: a new part wherever a condition is set, the axis is warmed, or it rests."""
     runs: list[ExploringRun] = []
     steps: list[Step] = []

@@ -12,7 +12,16 @@ from hil.diagnosis.loop.jobs.plan import CLOSE_LOOP, passes_at
 from hil.diagnosis.page_data import DiagnosisScreen
 from hil.machine.in_motion_settings import feeds_of
 from hil.records.journal import measurement_of
-from hil.ui.screen.pieces import Latest, Reading, Steps, Table, draw_ready, draw_where, lead, measured_checks
+from hil.ui.screen.pieces import (
+    FolderContents,
+    Latest,
+    ScreenTable,
+    Steps,
+    draw_ready,
+    draw_where,
+    lead,
+    measured_checks,
+)
 from hil.ui.screen.plots import JobPlot
 from hil.ui.screen.unfinished import GoOn, draw_unfinished
 from hil.ui.screen.view import Refresh, View
@@ -24,7 +33,7 @@ STEPS = ("measure", "round", "before", "diagnose", "after", *IN_MOTION)
 FIGURES = ("rms_um", "peak_um", "A_um", "R_um", "B_um", "M_um")
 
 
-def draw_loop(view: View, axis: AxisConfig, kept: Reading[DiagnosisScreen]) -> Refresh:
+def draw_loop(view: View, axis: AxisConfig, kept: FolderContents[DiagnosisScreen]) -> Refresh:
     """Draws verdict, step, settings, start, live plot and the figures of each stage; returns their refresh."""
     t = view.t
     messages = view.messages("loop.messages")
@@ -69,7 +78,7 @@ def _as_one(series: str) -> str:
 def _draw_buttons(
     view: View,
     axis: AxisConfig,
-    kept: Reading[DiagnosisScreen],
+    kept: FolderContents[DiagnosisScreen],
     ways: dict[str, GoOn],
     interrupted: Callable[[], bool],
 ) -> Refresh:
@@ -116,7 +125,7 @@ def _draw_buttons(
     return refresh
 
 
-def _draw_verdict(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
+def _draw_verdict(view: View, kept: FolderContents[DiagnosisScreen]) -> Refresh:
     """How the last loop ended, what is left after its last stage, and of when it is."""
     t = view.t
     with view.card("loop.verdict", name="loop.verdict.card"):
@@ -144,11 +153,11 @@ def _draw_verdict(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
     return refresh
 
 
-def _draw_stages(view: View, kept: Reading[DiagnosisScreen]) -> Refresh:
+def _draw_stages(view: View, kept: FolderContents[DiagnosisScreen]) -> Refresh:
     """Figures of the axis after each stage of the last loop, from its files; hidden before the first."""
     t = view.t
     with view.card("loop.figures", name="loop.stages.card").classes("hil-small") as card:
-        table = Table(view, "loop.stages", ["loop.head.stage", *(f"loop.head.{name}" for name in FIGURES)])
+        table = ScreenTable(view, "loop.stages", ["loop.head.stage", *(f"loop.head.{name}" for name in FIGURES)])
     card.set_visibility(False)
     latest = Latest()
 

@@ -17,7 +17,7 @@ from hil.diagnosis.campaign import Floats, Singles
 from hil.diagnosis.model.evidence import Candidate, Fit, Part, score
 from hil.diagnosis.model.policy import USUAL
 from hil.diagnosis.model.remainder import Remainder
-from hil.diagnosis.model.rows import Rows
+from hil.diagnosis.model.rows import ModelRows
 from hil.effects import Effect, Form
 
 ROUNDS = 12
@@ -67,7 +67,7 @@ class Catalogue:
     There each that is no function of the place is two explanations: it came after the table, or this was measured with some of it.
     """
 
-    def __init__(self, rows: Rows, effects: Sequence[Effect]) -> None:
+    def __init__(self, rows: ModelRows, effects: Sequence[Effect]) -> None:
         self.rows, self.campaign = rows, rows.campaign
         self.grids: list[Grid] = []
         self.refining: dict[str, list[Form]] = {}

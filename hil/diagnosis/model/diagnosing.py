@@ -18,7 +18,7 @@ from hil.diagnosis.model.force import Folds, Force, compensated, improves
 from hil.diagnosis.model.intervals import terms_of
 from hil.diagnosis.model.offer import Offer
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rows import Given, Rows
+from hil.diagnosis.model.rows import Given, ModelRows
 from hil.diagnosis.model.search import Search
 from hil.diagnosis.model.unlogged import share_of
 from hil.diagnosis.model.verdict import Verdict
@@ -50,15 +50,15 @@ def diagnose(
         return replace(Case(records, declared, effects, seed).diagnosis(), seconds=time.perf_counter() - started)
 
 
-def own_rows(campaign: CampaignRows, declared: Model | None) -> Rows:
+def own_rows(campaign: CampaignRows, declared: Model | None) -> ModelRows:
     """The rows beside a table of their own, without what the terms of a declared model explain."""
     if declared is None:
-        return Rows(campaign)
+        return ModelRows(campaign)
     known_um = sum((t.error_um(campaign.columns) for t in _as_seen(declared, campaign).terms), np.zeros(len(campaign)))
-    return Rows(replace(campaign, error_um=campaign.error_um - known_um))
+    return ModelRows(replace(campaign, error_um=campaign.error_um - known_um))
 
 
-def rows_of(campaign: CampaignRows, declared: Model | None, noise_um: float | None = None) -> Rows:
+def rows_of(campaign: CampaignRows, declared: Model | None, noise_um: float | None = None) -> ModelRows:
     """The rows beside a table of their own, or beside a declared model, whose uncertainty counts against their white noise, µm: that
     beside a table alone, where it is not known.
     """
@@ -66,14 +66,14 @@ def rows_of(campaign: CampaignRows, declared: Model | None, noise_um: float | No
     if declared is None:
         return own
     usual_um = Fit(own, (), score(own, ())[0].noise).sigma if noise_um is None else noise_um
-    return Rows(campaign, Given.of(_as_seen(declared, campaign), usual_um))
+    return ModelRows(campaign, Given.of(_as_seen(declared, campaign), usual_um))
 
 
 def _is_of(declared: Model, campaign: CampaignRows) -> bool:
     """Whether a declared table was fitted from these rows, so that it says nothing which they do not."""
     if declared.terms:
         return False
-    rows = Rows(campaign)
+    rows = ModelRows(campaign)
     own = Force(Fit(rows, (), score(rows, ())[0].noise), {}).model().table
     table = declared.table
     sides = ((table.forward_um, own.forward_um), (table.backward_um, own.backward_um))
@@ -98,7 +98,7 @@ def searched(campaign: CampaignRows, declared: Model | None, effects: Sequence[E
     return search, search.fit(search.exchanged(found.parts))
 
 
-def _searched(rows: Rows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Fit]:
+def _searched(rows: ModelRows, effects: Sequence[Effect], kept: Sequence[Part] = ()) -> tuple[Search, Fit]:
     """The parts beside some that stay."""
     catalogue = Catalogue(rows, effects)
     stay = catalogue.again(kept)

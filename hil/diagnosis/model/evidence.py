@@ -21,7 +21,7 @@ import numpy as np
 from hil.diagnosis.campaign import Floats, Ints, Singles
 from hil.diagnosis.model.numeric import highest, inverse_of_lower
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rows import MEMORIES, NO_MEMORY, OFFSET, Memory, Rows
+from hil.diagnosis.model.rows import MEMORIES, NO_MEMORY, OFFSET, ModelRows, NoiseMemory
 from hil.effects import Effect, Form
 
 LOWEST = np.array([-7.0, -7.0, -5.0])
@@ -40,7 +40,7 @@ RATIOS = 10.0 ** np.arange(-3.0, 4.1, 0.5)
 class Noise:
     """Memory, and log standard deviations of the table's parts and of the runs' offsets over the white noise, (3,)."""
 
-    memory: Memory
+    memory: NoiseMemory
     log_sd: Floats
 
     @property
@@ -120,7 +120,7 @@ class Profile:
     under all of them and are eliminated once.
     """
 
-    def __init__(self, rows: Rows, parts: Sequence[Part], memory: Memory) -> None:
+    def __init__(self, rows: ModelRows, parts: Sequence[Part], memory: NoiseMemory) -> None:
         self.rows, self.memory, base = rows, memory, rows.whitened(memory)
         none = np.zeros((rows.n, 0))
         random, *others = (np.hstack([none, *(getattr(part, kind) for part in parts)]) for kind in KINDS)
@@ -197,7 +197,7 @@ def _prior(parts: Sequence[Part]) -> float:
     return sum(part.log_prior for part in parts)
 
 
-def score(rows: Rows, parts: Sequence[Part], near: Noise | None = None) -> list[Scored]:
+def score(rows: ModelRows, parts: Sequence[Part], near: Noise | None = None) -> list[Scored]:
     """The parts under noise models, the likeliest first; near: only its memory and none, from its standard deviations."""
     memories = MEMORIES if near is None else tuple(dict.fromkeys((near.memory, NO_MEMORY)))
     start = START if near is None else near.log_sd
@@ -212,7 +212,7 @@ def score(rows: Rows, parts: Sequence[Part], near: Noise | None = None) -> list[
 class Fit:
     """Parts under one noise model: coefficients, residual, and what further columns would gain."""
 
-    def __init__(self, rows: Rows, parts: Sequence[Part], noise: Noise) -> None:
+    def __init__(self, rows: ModelRows, parts: Sequence[Part], noise: Noise) -> None:
         self.rows, self.parts, self.noise = rows, tuple(parts), noise
         self._profile = profile = Profile(rows, parts, noise.memory)
         self._base = profile.white.shape[1] - profile.columns.shape[1]

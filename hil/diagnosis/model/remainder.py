@@ -46,7 +46,7 @@ LONGEST_CYCLE = 12
 """Rows of the longest cycle in which one row may differ."""
 
 
-class Axis:
+class ColumnRange:
     """A column over its range."""
 
     def __init__(self, name: str, values: Floats) -> None:
@@ -114,7 +114,7 @@ class Remainder:
         usable = {name for name in survey.varying if name not in NO_CAUSE or name == self.time}
         if "stroke_mm" in usable and np.any(campaign.columns["stroke_mm"] >= LONG_STROKE_MM):
             usable.remove("stroke_mm")
-        self.axes = {name: Axis(name, campaign.columns[name]) for name in sorted(usable)}
+        self.axes = {name: ColumnRange(name, campaign.columns[name]) for name in sorted(usable)}
 
     def _signed(self, names: tuple[str, ...], rows: Singles) -> Iterator[Block]:
         """A function alike in both directions, and one with the sign of the direction."""
@@ -137,14 +137,14 @@ class Remainder:
                 if axis is not place:
                     yield from self._along(place, axis)
 
-    def _in_time(self, time: Axis) -> Iterator[Block]:
+    def _in_time(self, time: ColumnRange) -> Iterator[Block]:
         """A state that switches or wanders, with the direction, and a drift that each run has anew."""
         if self.d is not None:
             yield Block.of((time.name, "direction"), _switching(time) * self.d[:, None])
         if 1 < self.campaign.runs <= MOST_RUNS:
             yield Block.of((time.name, "run"), _drift_of_runs(time.values, self.campaign.run))
 
-    def _along(self, place: Axis, axis: Axis) -> Iterator[Block]:
+    def _along(self, place: ColumnRange, axis: ColumnRange) -> Iterator[Block]:
         """A wave along the travel whose amplitude and phase another column changes, or a state in time; itself it is an effect's."""
         is_time = axis.name == self.time and not axis.has_levels
         course = _switching(axis) if is_time else axis.course[1:].T.astype(np.float64)
@@ -152,7 +152,7 @@ class Remainder:
             columns = place.waves(np.array([periods]))[:, :, None] * course[:, None]
             yield from self._signed((place.name, axis.name), Block.of((), columns.reshape(len(course), -1)).alike)
 
-    def _of_rows(self, place: Axis) -> Iterator[Block]:
+    def _of_rows(self, place: ColumnRange) -> Iterator[Block]:
         """One run, or one row in every few, that follows the travel in a way of its own."""
         along = place.smooth()
         order = np.arange(len(self.campaign))
@@ -190,7 +190,7 @@ def _part(block: Block, fit: Fit, price: float) -> Part:
     return Part(OUTSIDE, block.names, none, columns, none, -price)
 
 
-def _switching(time: Axis) -> Floats:
+def _switching(time: ColumnRange) -> Floats:
     """The course of a state, without its mean, (n, r)."""
     return np.asarray(time.waves(SWITCHING) / np.repeat(np.hypot(1.0, SWITCHING / 3.0), 2))
 
@@ -205,7 +205,7 @@ def _drift_of_runs(time: Floats, run: Ints) -> Floats:
     return columns.reshape(len(time), -1)
 
 
-def _products(a: Axis, b: Axis) -> Singles:
+def _products(a: ColumnRange, b: ColumnRange) -> Singles:
     """A smooth function of two columns, without what the table has of the position alone, (r, n)."""
     sizes = np.outer(np.sum(a.course**2, axis=1), np.sum(b.course**2, axis=1))
     sizes[0, 0] = 0.0

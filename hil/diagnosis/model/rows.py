@@ -36,19 +36,19 @@ EVEN, ODD, OFFSET, GIVEN, KNOWN = 0, 1, 2, 3, 4
 
 
 @dataclass(frozen=True)
-class Memory:
+class NoiseMemory:
     """White noise and an AR(1) of `ar` white noise within a run, correlated by rho from row to row."""
 
     ar: float
     rho: float
 
 
-NO_MEMORY = Memory(0.0, 0.0)
+NO_MEMORY = NoiseMemory(0.0, 0.0)
 MEMORIES = (
     NO_MEMORY,
-    *(Memory(0.35, rho) for rho in (0.5, 0.85)),
-    *(Memory(0.7, rho) for rho in (0.5, 0.8, 0.93)),
-    *(Memory(1.1, rho) for rho in (0.6, 0.85)),
+    *(NoiseMemory(0.35, rho) for rho in (0.5, 0.85)),
+    *(NoiseMemory(0.7, rho) for rho in (0.5, 0.8, 0.93)),
+    *(NoiseMemory(1.1, rho) for rho in (0.6, 0.85)),
 )
 
 
@@ -95,7 +95,7 @@ class Given:
         return tuple(out)
 
 
-class Table:
+class RoughTable:
     """What a rough table of these rows holds of further columns."""
 
     def __init__(self, campaign: CampaignRows) -> None:
@@ -138,7 +138,7 @@ class Table:
         return np.asarray(axes[:, size > SAME * size[0]] * math.sqrt(len(both)))
 
 
-class Rows:
+class ModelRows:
     """y = fixed a + random b + … + ε + memory, all over the white noise.
 
     given: the declared model, or None for a table that is fitted from these rows; scale: of each row's noise, large of those left out
@@ -159,9 +159,9 @@ class Rows:
         widths = [part.shape[1] for part in parts]
         kinds = [EVEN, ODD, OFFSET, GIVEN, *[KNOWN] * (len(parts) - 4)]
         self.group: Ints = np.repeat(kinds, widths).astype(np.int64)
-        self._white: dict[Memory, Whitened] = {}
-        self._reduced: dict[tuple[Hashable, Memory], tuple[Singles, Singles]] = {}
-        self._roots: dict[tuple[int, Memory], Floats] = {}
+        self._white: dict[NoiseMemory, Whitened] = {}
+        self._reduced: dict[tuple[Hashable, NoiseMemory], tuple[Singles, Singles]] = {}
+        self._roots: dict[tuple[int, NoiseMemory], Floats] = {}
 
     @property
     def is_declared(self) -> bool:
@@ -169,16 +169,16 @@ class Rows:
         return self.given is not None
 
     @cached_property
-    def table(self) -> Table:
+    def table(self) -> RoughTable:
         """A rough table of these rows."""
-        return Table(self.campaign)
+        return RoughTable(self.campaign)
 
     @cached_property
     def of_table(self) -> Ints:
         """Random columns of the table in the order of `ShapeColumns.stacked`."""
         return np.concatenate([np.flatnonzero(self.group == kind) for kind in (EVEN, ODD, GIVEN)]).astype(np.int64)
 
-    def without(self, out: NDArray[np.bool_]) -> Rows:
+    def without(self, out: NDArray[np.bool_]) -> ModelRows:
         """The same rows, of which those left out count for nothing."""
         other = copy(self)
         other.scale = self.scale * np.where(out, LEFT_OUT, 1.0)
@@ -196,7 +196,7 @@ class Rows:
             found += [slice(int(a), int(b)) for a, b in itertools.pairwise(cuts)]
         return found
 
-    def _root(self, rows: int, memory: Memory) -> Floats:
+    def _root(self, rows: int, memory: NoiseMemory) -> Floats:
         """Inverse of the Cholesky factor of the noise of so many neighbouring rows."""
         key = rows, memory
         if key not in self._roots:
@@ -205,14 +205,14 @@ class Rows:
             self._roots[key] = inverse_of_lower(lower)
         return self._roots[key]
 
-    def white(self, columns: NDArray[Real], memory: Memory) -> NDArray[Real]:
+    def white(self, columns: NDArray[Real], memory: NoiseMemory) -> NDArray[Real]:
         """Columns (n, k), or values (n,), over the noise of their rows, in their own precision."""
         scaled = np.divide(columns.T, self.scale, dtype=columns.dtype).T
         for rows in self.stretches if memory.ar else ():
             scaled[rows] = self._root(rows.stop - rows.start, memory).astype(columns.dtype) @ scaled[rows]
         return scaled
 
-    def unwhite(self, values: Floats, memory: Memory) -> Floats:
+    def unwhite(self, values: Floats, memory: NoiseMemory) -> Floats:
         """The transpose of `white`: sums of whitened columns times values are those of the columns times this, (n,)."""
         out = values.copy()
         if memory.ar:
@@ -220,7 +220,7 @@ class Rows:
                 out[rows] = self._root(rows.stop - rows.start, memory).T @ values[rows]
         return np.asarray((out.T / self.scale).T)
 
-    def reduced(self, rows: Singles, k: int, memory: Memory, of: Hashable) -> tuple[Singles, Singles]:
+    def reduced(self, rows: Singles, k: int, memory: NoiseMemory, of: Hashable) -> tuple[Singles, Singles]:
         """Groups of k columns, one a row, (G·k, n), in single precision: their products (G, k, k), and those with the columns of the
         table and the offsets, (G·k, q + f); of: what they are the columns of, by which they are kept for the next time.
         """
@@ -237,7 +237,7 @@ class Rows:
             self._reduced[key] = np.concatenate(products), np.concatenate(by_base)
         return self._reduced[key]
 
-    def whitened(self, memory: Memory) -> Whitened:
+    def whitened(self, memory: NoiseMemory) -> Whitened:
         """Table, offsets and errors under a memory; made once."""
         if memory not in self._white:
             base = self.white(np.hstack([self.random, self.fixed]), memory)

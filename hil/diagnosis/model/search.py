@@ -13,7 +13,7 @@ from hil.diagnosis.model.candidates import Catalogue, Ranked
 from hil.diagnosis.model.evidence import Fit, Noise, Part, Scored, score
 from hil.diagnosis.model.intervals import as_term
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rows import Rows
+from hil.diagnosis.model.rows import ModelRows
 
 MOST_PARTS = 6
 LEAST_RISE = 0.1
@@ -38,7 +38,7 @@ class Alternative:
 class Search:
     """One campaign's candidates, with what was tried; kept: parts that stay."""
 
-    def __init__(self, rows: Rows, catalogue: Catalogue, kept: Sequence[Part] = ()) -> None:
+    def __init__(self, rows: ModelRows, catalogue: Catalogue, kept: Sequence[Part] = ()) -> None:
         self.rows, self.catalogue = rows, catalogue
         self.kept = frozenset(kept)
         self._tried: dict[tuple[str, frozenset[Part]], list[Alternative]] = {}

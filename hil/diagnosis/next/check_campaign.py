@@ -18,7 +18,7 @@ from threadpoolctl import threadpool_limits
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.model.diagnosing import BLIND
 from hil.diagnosis.model.evidence import Fit, Noise
-from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, ModelRows
 from hil.diagnosis.next.causes import unseen_causes
 from hil.effects import ALL, Effect, Form
 from hil.effects.cyclic import COMMON_MM
@@ -105,7 +105,7 @@ def repeats_of(target_mm: Floats, direction: Floats) -> int:
 def _table(campaign: CampaignRows) -> Fit:
     """A table that is free at repeated targets and rough elsewhere, beside an offset of each run."""
     rough = FREE if campaign.repeated else ROUGH
-    return Fit(Rows(campaign), (), Noise(NO_MEMORY, np.log([rough**0.5, rough**0.5, OFFSET])))
+    return Fit(ModelRows(campaign), (), Noise(NO_MEMORY, np.log([rough**0.5, rough**0.5, OFFSET])))
 
 
 @dataclass(frozen=True)

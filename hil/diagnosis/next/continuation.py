@@ -15,7 +15,7 @@ from hil.diagnosis.joining import SENSED, SET, is_set, segments
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.diagnosing import rows_of
 from hil.diagnosis.model.evidence import Candidate, Fit, Noise, Part
-from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, Given, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, ROUGH, Given, ModelRows
 from hil.diagnosis.next.causes import (
     ALONG,
     COURSES,
@@ -233,7 +233,7 @@ class Continuation:
         """Σ(f_i - f_j)²/σ² with j fitted to the error by i (a column of `drawn`), beside table and offsets, shape
         (causes, causes).
         """
-        rows = Rows(campaign, self.given)
+        rows = ModelRows(campaign, self.given)
         fit = Fit(rows, (), self.noise)
         whole = _left_of(fit, drawn)
         out = np.empty((len(self.causes), len(self.causes)))

@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.errors import InputError
 from hil.diagnosis.next.feasible import CHANGE_MIN, CROSS_MIN, START_MIN
-from hil.diagnosis.next.planned_run import Means, Point, motion_columns
+from hil.diagnosis.next.planned_run import Means, PlannedPoint, motion_columns
 from hil.records.rows import Floats
 
 REPEATS = 4
@@ -36,7 +36,7 @@ GRID_SHARE = 0.02
 """A target this near (in periods) to a multiple of a likely pitch is drawn again."""
 
 
-def design(means: Means, minutes: float, seed: int = 0) -> tuple[Point, ...]:
+def design(means: Means, minutes: float, seed: int = 0) -> tuple[PlannedPoint, ...]:
     """The rows of a campaign of at most `minutes`: the largest of `SIZES` that fits with short pauses, with as many more rows as fit
     with pauses half-way, and the longest pauses that fit. Raises InputError when that is too short for the smallest, naming its time.
     """
@@ -61,7 +61,7 @@ def design(means: Means, minutes: float, seed: int = 0) -> tuple[Point, ...]:
     raise InputError(f"{minutes:g} min are too short for a campaign, expected at least {needed:g} min")
 
 
-def plan_minutes(points: Sequence[Point], means: Means) -> float:
+def plan_minutes(points: Sequence[PlannedPoint], means: Means) -> float:
     """Machine time of a plan, min: motion, dwells, strokes, rests, and waiting for changes of conditions by a
     person.
     """
@@ -76,7 +76,7 @@ def plan_minutes(points: Sequence[Point], means: Means) -> float:
     return time + waits + START_MIN
 
 
-def _drawn(means: Means, runs: int, rows: int, seed: int, share: float) -> tuple[Point, ...]:
+def _drawn(means: Means, runs: int, rows: int, seed: int, share: float) -> tuple[PlannedPoint, ...]:
     """share: of the pauses between the shortest and the longest."""
     rng = np.random.default_rng([seed, 23])
     levels = {
@@ -85,7 +85,7 @@ def _drawn(means: Means, runs: int, rows: int, seed: int, share: float) -> tuple
         if len(values) > 1
     }
     pauses = np.random.default_rng([seed, 24])  # of their own, so that they do not change with the rows
-    points: list[Point] = []
+    points: list[PlannedPoint] = []
     for index in range(runs):
         run = _run(rng, means, index + 1, rows, tuple((name, float(v[index])) for name, v in levels.items()))
         if index:  # the first is cold
@@ -105,7 +105,7 @@ def _least_along_time(rng: np.random.Generator, levels: Floats) -> Floats:
 
 def _run(
     rng: np.random.Generator, means: Means, number: int, rows: int, levels: tuple[tuple[str, float], ...]
-) -> list[Point]:
+) -> list[PlannedPoint]:
     """Targets over the whole travel in random order and direction, some of them twice with others in between."""
     count = rows - REPEATS
     edges = np.linspace(means.low_mm, means.high_mm, count + 1)
@@ -123,7 +123,7 @@ def _run(
         feed = means.feed_mm_s * float(rng.choice(FEEDS))
         dwell = LONG_DWELL_S if rng.random() < 0.15 else 0.0
         out.append(
-            Point(number, side, target, round(travel, 3), levels=levels, feed_mm_s=round(feed, 3), dwell_s=dwell)
+            PlannedPoint(number, side, target, round(travel, 3), levels=levels, feed_mm_s=round(feed, 3), dwell_s=dwell)
         )
     return out
 

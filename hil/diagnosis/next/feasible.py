@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.diagnosis.next.planned_run import Means, PlannedRun, Point, motion_columns
+from hil.diagnosis.next.planned_run import Means, PlannedPoint, PlannedRun, motion_columns
 from hil.records.rows import Floats
 
 THERMOMETER = "temp_screw_c"
@@ -57,14 +57,18 @@ class _Maker:
 
     def point(
         self, index: int, direction: int, target_mm: float, overrun_mm: float | None = None, *levels: tuple[str, float]
-    ) -> Point:
+    ) -> PlannedPoint:
         """A row of run `index` of this measurement; its reversal no farther out than the usual overrun."""
         means = self.means
         wanted = means.overrun_mm if overrun_mm is None else overrun_mm
         room = (target_mm - means.low_mm if direction > 0 else means.high_mm - target_mm) + means.overrun_mm
-        return Point(self.first_run + index, direction, target_mm, round(min(wanted, room), self.digits), levels=levels)
+        return PlannedPoint(
+            self.first_run + index, direction, target_mm, round(min(wanted, room), self.digits), levels=levels
+        )
 
-    def there_and_back(self, targets: Floats, passes: int, *levels: tuple[str, float], first: int = 0) -> list[Point]:
+    def there_and_back(
+        self, targets: Floats, passes: int, *levels: tuple[str, float], first: int = 0
+    ) -> list[PlannedPoint]:
         """Up through the targets and down again, `passes` times, a run each."""
         points = []
         for index in range(first, first + passes):
@@ -72,7 +76,7 @@ class _Maker:
                 points += [self.point(index, direction, float(target), None, *levels) for target in way]
         return points
 
-    def heated(self, passes: int) -> list[Point]:
+    def heated(self, passes: int) -> list[PlannedPoint]:
         """Cold, warm and cooled: passes over a few targets, with strokes and rests before them."""
         targets = self.scattered(max(self.means.targets // 2, 5))
         points = self.there_and_back(targets, passes)
@@ -85,7 +89,7 @@ class _Maker:
         self,
         name: str,
         words: str,
-        points: Sequence[Point],
+        points: Sequence[PlannedPoint],
         *,
         person: str = "",
         wait_min: float = 0.0,
@@ -115,7 +119,7 @@ class _Maker:
         longest = max((*self.means.pitches_mm, min(LONGEST_PITCH_MM, self.means.span_mm / 8)))
         window, step = min(2 * longest, self.means.span_mm), round(longest / STEPS_PER_PERIOD, self.digits)
         places = [float(np.clip(place - window / 2, low, high - window)) for place in self.scattered(3)]
-        points: list[Point] = []
+        points: list[PlannedPoint] = []
         for index, start in enumerate(places):
             fine = np.round(start + step * np.arange(int(window / step + 1e-9) + 1), self.digits)
             points += self.there_and_back(fine, 1, first=index)
@@ -164,7 +168,7 @@ class _Maker:
         usual = values[0]
         other = max(values, key=lambda value: abs(value - usual))
         targets = self.scattered(max(self.means.targets // 2, 5))
-        points: list[Point] = []
+        points: list[PlannedPoint] = []
         for index, level in enumerate((usual, other, usual, other)):
             points += self.there_and_back(targets, 1, (column, level), first=index)
         load = column == "load_kg"

@@ -48,7 +48,7 @@ class Means:
 
 
 @dataclass(frozen=True)
-class Point:
+class PlannedPoint:
     """One row to be measured: reached in a direction, after a reversal `overrun_mm` before it where the axis has to
     reverse.
 
@@ -77,7 +77,7 @@ class PlannedRun:
 
     name: str
     words: str
-    points: tuple[Point, ...]
+    points: tuple[PlannedPoint, ...]
     minutes: float
     person: str = ""
     adds: tuple[str, ...] = ()
@@ -88,7 +88,7 @@ class PlannedRun:
         return f"{self.words} ({len(self.points)} rows, about {math.ceil(self.minutes)} min{who})"
 
 
-def motion_columns(points: Sequence[Point], means: Means, *, start_s: float = 0.0) -> dict[str, Floats]:
+def motion_columns(points: Sequence[PlannedPoint], means: Means, *, start_s: float = 0.0) -> dict[str, Floats]:
     """The columns that follow from the rows alone, each (n,): run, direction, target, time, travel since the reversal,
     stroke, levels.
 

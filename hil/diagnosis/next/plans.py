@@ -18,7 +18,7 @@ from pathlib import Path
 from drivers.errors import InputError
 from drivers.files import read_text, table_rows
 from drivers.limits import DriveLimits
-from hil.diagnosis.next.planned_run import Point
+from hil.diagnosis.next.planned_run import PlannedPoint
 from hil.records.files import split_lines
 from hil.records.rows import parse_number, shown
 
@@ -28,7 +28,7 @@ SET = re.compile(r"load_kg|abbe_offset_mm|setup|pos_[a-z]\w*_mm")
 USUAL_OVERRUN_MM = 1.0
 
 
-def to_plan(points: Sequence[Point], comment: str = "") -> str:
+def to_plan(points: Sequence[PlannedPoint], comment: str = "") -> str:
     """The text of a plan file."""
     levels = list(dict.fromkeys(name for point in points for name, _ in point.levels))
     out = io.StringIO()
@@ -44,7 +44,7 @@ def to_plan(points: Sequence[Point], comment: str = "") -> str:
     return out.getvalue()
 
 
-def read_plan(path: str | Path, limits: DriveLimits) -> tuple[Point, ...]:
+def read_plan(path: str | Path, limits: DriveLimits) -> tuple[PlannedPoint, ...]:
     """The rows of a plan file, each inside the limits with its reversal. Raises InputError naming file, line and
     value.
     """
@@ -66,7 +66,7 @@ def read_plan(path: str | Path, limits: DriveLimits) -> tuple[Point, ...]:
     return tuple(_point(cells, header, limits, path, number) for number, cells in lines[1:])
 
 
-def _point(cells: list[str], header: Sequence[str], limits: DriveLimits, path: str | Path, number: int) -> Point:
+def _point(cells: list[str], header: Sequence[str], limits: DriveLimits, path: str | Path, number: int) -> PlannedPoint:
     if len(cells) != len(header):
         raise InputError(f"row has {len(cells)} columns, expected {len(header)}", path=path, line=number)
     values: dict[str, float] = {}
@@ -83,7 +83,7 @@ def _point(cells: list[str], header: Sequence[str], limits: DriveLimits, path: s
         raise InputError(f"direction is {values['direction']:g}, expected +1 or -1", path=path, line=number)
     if values["run"] != int(values["run"]):
         raise InputError(f"run is {values['run']:g}, expected a whole number", path=path, line=number)
-    point = Point(int(values["run"]), int(values["direction"]), values["target_mm"], USUAL_OVERRUN_MM)
+    point = PlannedPoint(int(values["run"]), int(values["direction"]), values["target_mm"], USUAL_OVERRUN_MM)
     point = replace(
         point, levels=tuple((name, values[name]) for name in header if SET.fullmatch(name) and name in values)
     )

@@ -19,17 +19,17 @@ from hil.ui.report.blocks import (
     Bullets,
     DataTable,
     Drawing,
-    Finding,
+    Framed,
     Heading,
     Paragraph,
-    Span,
-    Table,
+    ReportTable,
+    TextSpan,
     said,
 )
 from hil.ui.report.data import NamedCampaign
 from hil.ui.report.svg import Ground, Theme
 from hil.ui.report.views import (
-    View,
+    ResidualView,
     estimate_of,
     finding_view,
     list_of,
@@ -125,8 +125,8 @@ def _unexplained(diagnosis: Mapping[str, Any]) -> Paragraph:
     done = " Nothing was compensated for it."
     if asked_for:
         done = f" The extended model corrects it all the same, because that was asked for: {' '.join(asked_for)}"
-    left = Span("Structure is left that nothing in the catalogue explains.", "strong")
-    return Paragraph((left, Span(f"{along}{done}")), "callout")
+    left = TextSpan("Structure is left that nothing in the catalogue explains.", "strong")
+    return Paragraph((left, TextSpan(f"{along}{done}")), "callout")
 
 
 def _carrier(form: Mapping[str, Any]) -> str:
@@ -161,7 +161,7 @@ def _summary(diagnosis: Mapping[str, Any]) -> list[Block]:
             f"Both columns are on {held_out.get('rows', '?')} rows that were not fitted ({held_out.get('how', 'how is not stated')})."
         )
     head = ("", "declared model", "with the effects found", "change")
-    table = [Table(head, tuple(rows), "numbers")] if rows else []
+    table = [ReportTable(head, tuple(rows), "numbers")] if rows else []
     return [said(" ".join(facts)), *table]
 
 
@@ -179,14 +179,14 @@ def _residual(diagnosed: NamedCampaign, findings: list[Mapping[str, Any]]) -> li
     ]
 
 
-def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> Finding:
+def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> Framed:
     effect = str(finding.get("effect", "unnamed"))
     action = str(finding.get("action", ""))
     confidence = value_of(finding, "confidence")
     sure = f" · confidence {percent(confidence)}" if confidence is not None else ""
     parts: list[Block] = [
         Heading(f"{index}. {effect}", 3, ACTIONS.get(action, action or "no action stated")),
-        Paragraph((Span(str(finding.get("explanation", ""))), Span(sure, "muted"))),
+        Paragraph((TextSpan(str(finding.get("explanation", ""))), TextSpan(sure, "muted"))),
     ]
     rows = tuple(
         (
@@ -198,12 +198,14 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
         for name, value in object_of(finding.get("parameters")).items()
     )
     if rows:
-        parts.append(Table(("parameter", "value", "standard uncertainty (k = 1)", "interval at 95 %"), rows, "numbers"))
+        parts.append(
+            ReportTable(("parameter", "value", "standard uncertainty (k = 1)", "interval at 95 %"), rows, "numbers")
+        )
     for rival in objects_of(finding.get("rivals")):
         share = value_of(rival, "confidence")
         weight = f" ({percent(share)})" if share is not None else ""
         apart = f"{weight}. To tell them apart: {rival.get('separate_by', 'not stated')}"
-        parts.append(Paragraph((Span("Rival: "), Span(str(rival.get("effect")), "strong"), Span(apart))))
+        parts.append(Paragraph((TextSpan("Rival: "), TextSpan(str(rival.get("effect")), "strong"), TextSpan(apart))))
     if (view := finding_view(finding, diagnosed, alone=alone)) is not None:
         columns = {
             "x": view.x,
@@ -216,7 +218,7 @@ def _finding(index: int, finding: Mapping[str, Any], diagnosed: NamedCampaign | 
             Drawing(f"finding{index}", f"finding-{index}", _drawer(view), f"Residual and {effect}", caption),
             DataTable(f"data-finding-{index}", f"Data of this drawing (x is {view.label})", columns),
         ]
-    return Finding(tuple(parts))
+    return Framed(tuple(parts))
 
 
 def percent(share: float) -> str:
@@ -226,7 +228,7 @@ def percent(share: float) -> str:
     return "below 0.1 %" if 0 <= share < 0.0005 else f"{100 * share:.1f} %"
 
 
-def _drawer(view: View) -> Callable[[Theme, Ground], FigureBase]:
+def _drawer(view: ResidualView) -> Callable[[Theme, Ground], FigureBase]:
     def draw(theme: Theme, ground: Ground) -> FigureBase:
         return plots.residual_plot(
             view.x,

@@ -12,7 +12,7 @@ from hil.axis.identity import drive_in_words, now_in_words
 from hil.correction.compensation import Compensation
 from hil.correction.store import SealedStore, compensation_in_force
 from hil.desk.job import Job, Workplace
-from hil.desk.plan import Move, Plan, Write
+from hil.desk.plan import Move, Plan, PlannedWrite
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle, Trace, by_standard
 from hil.lost_motion.circle.procedure import APPROACH_MM_S, RUN_IN_MM, CircleRun, check_axes, drive_circle, prepare
 from hil.machine.axes_wiring import connected_axes
@@ -131,7 +131,7 @@ def circle_plan(axes: Axes, circle: Circle) -> Plan:
     ]
     names = ", ".join(axis.name for axis in axes)
     homes = any(axis.measurement.home for axis in axes)
-    writes = (Write("rows", str(axes[0].store.directory)),)
+    writes = (PlannedWrite("rows", str(axes[0].store.directory)),)
     return Plan(names, axes[0].drive.backend, tuple(moves), writes, homes)
 
 

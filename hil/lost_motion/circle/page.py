@@ -11,8 +11,8 @@ from hil.desk.desk import Desk
 from hil.lost_motion.circle import job as circle
 from hil.lost_motion.circle.figures import QUADRANTS_DEG, Circle
 from hil.lost_motion.page_data import CircleCurves, circle_curves, driven_circle
-from hil.ui.screen.drawings import Drawing, Options, angle_axis, short
-from hil.ui.screen.pieces import Latest, Table
+from hil.ui.screen.drawings import Options, RedrawnChart, angle_axis, short
+from hil.ui.screen.pieces import Latest, ScreenTable
 from hil.ui.screen.plots import FONT, PALETTES, inks, number_format, one_line_legend
 from hil.ui.screen.view import Refresh, View
 
@@ -76,7 +76,7 @@ def _draw_settings(view: View, axis: AxisConfig, others: dict[str, Desk]) -> Ref
 
 def _draw_polar(view: View) -> Refresh:
     with ui.element("div") as box:
-        drawing = Drawing(view, "circle.polar", "round")
+        drawing = RedrawnChart(view, "circle.polar", "round")
         ring = view.named(ui.label().classes("hil-name"), "circle.ring")
     box.set_visibility(False)
     latest = Latest()
@@ -101,7 +101,7 @@ def _draw_figures(view: View) -> Refresh:
         fallen = view.value("circle.fallen", "%")
         places = [f"after_{at:.0f}" for at in QUADRANTS_DEG]
         names = [f"circle.head.{name}" for name in ("trace", *places, "mean", "floor", "roundness")]
-        table = Table(view, "circle.bumps", names)
+        table = ScreenTable(view, "circle.bumps", names)
     latest = Latest()
 
     def refresh() -> None:

@@ -16,10 +16,10 @@ from hil.probe.procedure import BoreCentre, Correction, FeatureMeasurement
 from hil.probe.runout import CorrectionCode
 from hil.probe.store import RunOutStore
 from hil.records.rows import UM_PER_MM
-from hil.ui.screen.pieces import Latest, Reading, Table
+from hil.ui.screen.pieces import FolderContents, Latest, ScreenTable
 from hil.ui.screen.view import Refresh, View
 
-Kept = Reading[ProbeRecord]
+Kept = FolderContents[ProbeRecord]
 
 
 def draw_corrections(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
@@ -140,7 +140,7 @@ def _draw_others(at: ProbePage, kept: Kept, mode: ui.select) -> Refresh:
                     await at.ask_and_run(probe.feature_job(at.config, store, known, str(chosen.value), str(mode.value)))
 
             button = view.button("probe.measure_other", start)
-        table = Table(
+        table = ScreenTable(
             view, "probe.other", [f"probe.other_head.{name}" for name in ("what", "corrected", "uncorrected")]
         )
     latest = Latest()

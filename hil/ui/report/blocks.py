@@ -24,7 +24,7 @@ class Heading:
 
 
 @dataclass(frozen=True)
-class Span:
+class TextSpan:
     """Text within a paragraph. style: "", "strong" or "muted"."""
 
     text: str
@@ -35,7 +35,7 @@ class Span:
 class Paragraph:
     """A paragraph. style: "", "muted", or "callout" for a warning."""
 
-    spans: tuple[Span, ...]
+    spans: tuple[TextSpan, ...]
     style: str = ""
 
     @property
@@ -44,7 +44,7 @@ class Paragraph:
 
 
 def said(text: str, style: str = "") -> Paragraph:
-    return Paragraph((Span(text),), style)
+    return Paragraph((TextSpan(text),), style)
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Facts:
 
 
 @dataclass(frozen=True)
-class Table:
+class ReportTable:
     """Cells of text; the first column names the row. style: "words" among numbers, "meaning" (the last column is text), "hash"."""
 
     head: tuple[str, ...]
@@ -124,19 +124,19 @@ class Drawing:
 
 
 @dataclass(frozen=True)
-class Finding:
+class Framed:
     """Blocks within one frame."""
 
     blocks: tuple[Block, ...]
 
 
-Block = Heading | Paragraph | Bullets | Tiles | Facts | Table | DataTable | Drawing | Finding
+Block = Heading | Paragraph | Bullets | Tiles | Facts | ReportTable | DataTable | Drawing | Framed
 
 
 def walk(blocks: Iterable[Block]) -> Iterator[Block]:
     """All blocks in order, also those within frames, without the frames."""
     for block in blocks:
-        if isinstance(block, Finding):
+        if isinstance(block, Framed):
             yield from walk(block.blocks)
         else:
             yield block

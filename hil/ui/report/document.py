@@ -27,11 +27,11 @@ from hil.ui.report.blocks import (
     DataTable,
     Drawing,
     Facts,
-    Finding,
+    Framed,
     Heading,
     Paragraph,
-    Span,
-    Table,
+    ReportTable,
+    TextSpan,
     Tile,
     Tiles,
     said,
@@ -65,7 +65,7 @@ def _block(block: Block, drawn: Callable[[Drawing], str]) -> str:  # noqa: PLR09
             return '<div class="tiles">' + "".join(map(_tile_markup, block.tiles)) + "</div>"
         case Facts():
             return markup.definitions(block.facts)
-        case Table():
+        case ReportTable():
             css = {"meaning": "numbers meaning"}.get(block.style, block.style)
             return markup.table(block.head, block.rows, css=css, caption=block.caption)
         case DataTable():
@@ -74,7 +74,7 @@ def _block(block: Block, drawn: Callable[[Drawing], str]) -> str:  # noqa: PLR09
             )
         case Drawing():
             return markup.figure(drawn(block), block.caption)
-        case Finding():
+        case Framed():
             return f'<section class="finding">{html(block.blocks, drawn)}</section>'
 
 
@@ -118,7 +118,7 @@ SIGNS = (
 
 def content(data: ReportData) -> list[Block]:
     """All blocks of a report in order, without the title."""
-    parts: list[Block] = [Paragraph((Span(data.opening, "strong"),))] if data.opening else []
+    parts: list[Block] = [Paragraph((TextSpan(data.opening, "strong"),))] if data.opening else []
     parts += [*_verdict(data), *_tiles(data), *_identity(data)]
     if len(data.campaigns) > 1:
         parts += _comparison(data)
@@ -168,9 +168,9 @@ def _verdict(data: ReportData) -> list[Block]:
         last = data.accuracy(data.campaigns[-1])
         said_last = f"{data.campaigns[-1].label}: {last}." if last.A_um is not None else ""
         lead = "Accuracy at other targets than the tables' was not measured"
-        return [Paragraph((Span(f"{lead}.", "strong"), Span(f" {said_last}" if said_last else "")), "callout")]
+        return [Paragraph((TextSpan(f"{lead}.", "strong"), TextSpan(f" {said_last}" if said_last else "")), "callout")]
     style = "" if found.good else "callout"
-    return [Paragraph((Span(f"{found}.", "strong"),), style), said(f"{'; '.join(found.explained())}.", "muted")]
+    return [Paragraph((TextSpan(f"{found}.", "strong"),), style), said(f"{'; '.join(found.explained())}.", "muted")]
 
 
 def _tiles(data: ReportData) -> list[Block]:
@@ -267,7 +267,7 @@ def _figures_table(data: ReportData) -> list[Block]:
     places = tuple(data.accuracy(campaign).at.value for campaign in data.campaigns)
     rows.append(("targets", *places, *([""] if compare else []), "compared with those of the tables"))
     known = [said(f"{PLUS_MINUS}.", "muted")] if any(isinstance(one, Budget) for one in spreads) else []
-    return [Heading("Figures of ISO 230-2:2014"), *known, Table(head, tuple(rows), "meaning")]
+    return [Heading("Figures of ISO 230-2:2014"), *known, ReportTable(head, tuple(rows), "meaning")]
 
 
 def _campaign(index: int, campaign: NamedCampaign, data: ReportData) -> list[Block]:
@@ -332,10 +332,10 @@ def _tables_in_force(data: ReportData) -> list[Block]:
     if not data.tables:
         return []
     rows = tuple((table.name, table.what, table.sha256) for table in data.tables)
-    return [Heading("Correction tables in force"), Table(("Table", "What", "SHA-256"), rows, "hash")]
+    return [Heading("Correction tables in force"), ReportTable(("Table", "What", "SHA-256"), rows, "hash")]
 
 
 def _signatures(data: ReportData) -> list[Block]:
     if not data.signatures:
         return []
-    return [Heading("Signatures"), Table(("File", "Signature"), tuple(data.signatures.items()), "hash")]
+    return [Heading("Signatures"), ReportTable(("File", "Signature"), tuple(data.signatures.items()), "hash")]

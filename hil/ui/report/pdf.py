@@ -20,7 +20,7 @@ import matplotlib as mpl
 
 from drivers.errors import InputError
 from hil.ui.report import markup
-from hil.ui.report.blocks import Block, DataTable, Drawing, Finding, Heading, Table, said
+from hil.ui.report.blocks import Block, DataTable, Drawing, Framed, Heading, ReportTable, said
 from hil.ui.report.data import ReportData
 from hil.ui.report.document import SIGNS, content, html, under_title
 from hil.ui.report.svg import LIGHT, file_bytes
@@ -93,8 +93,8 @@ def _kept(blocks: Sequence[Block], under: list[str], folded: list[tuple[str, Dat
             case Heading():
                 under[0] = block.text
                 yield block
-            case Finding():
-                yield Finding(tuple(_kept(block.blocks, under, folded)))
+            case Framed():
+                yield Framed(tuple(_kept(block.blocks, under, folded)))
             case DataTable() if block.unfolded:
                 yield from _pieces(block)
             case DataTable():
@@ -103,7 +103,7 @@ def _kept(blocks: Sequence[Block], under: list[str], folded: list[tuple[str, Dat
                 yield block
 
 
-def _pieces(table: DataTable) -> Iterator[Table]:
+def _pieces(table: DataTable) -> Iterator[ReportTable]:
     """The first `MAX_PAPER_ROWS` rows, as one table per group of columns; the first column is the row number."""
     shown = min(len(table), MAX_PAPER_ROWS)
     cut = f": the first {shown}, the page holds all" if shown < len(table) else ""
@@ -115,7 +115,7 @@ def _pieces(table: DataTable) -> Iterator[Table]:
     numbers = ("row", *map(str, range(1, shown + 1)))
     for group in groups(numbers, columns):
         head, *rows = zip(*group, strict=True)
-        yield Table(head, tuple(rows), "numbers small", caption)
+        yield ReportTable(head, tuple(rows), "numbers small", caption)
 
 
 def groups(first: Sequence[str], columns: Sequence[Sequence[str]]) -> list[list[Sequence[str]]]:

@@ -8,7 +8,7 @@ from drivers.errors import InputError
 from hil.figures.iso230 import Iso230
 from hil.figures.uncertainty import Budget, UncertaintyInputs, budget
 from hil.ui.report import markup
-from hil.ui.report.blocks import Block, Heading, Table, said
+from hil.ui.report.blocks import Block, Heading, ReportTable, said
 from hil.ui.report.data import NamedCampaign
 
 
@@ -42,7 +42,7 @@ def section(budgets: Sequence[Budget | str | None], labels: Sequence[str]) -> li
             head = ("Contribution", "U, µm (k = 2)", "")
             of = known.lead.replace("_up", "↑").replace("_down", "↓")
             parts.append(
-                Table(head, rows, "meaning", f"{label}: to {of} over {known.length_mm:g} mm; the squares add up")
+                ReportTable(head, rows, "meaning", f"{label}: to {of} over {known.length_mm:g} mm; the squares add up")
             )
     if not parts:
         return []

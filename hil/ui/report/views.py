@@ -39,7 +39,7 @@ LARGEST = 1e12
 
 
 @dataclass(frozen=True)
-class View:
+class ResidualView:
     """A residual along one column, and the curve over it; arrays of one shape (n,). label: of the x axis; over: name of the
     curve; of: of what it is the residual."""
 
@@ -62,13 +62,13 @@ def with_residual(campaign: NamedCampaign, diagnosis: Mapping[str, Any]) -> Name
     return replace(campaign, records=records)
 
 
-def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
+def position_view(records: Records, findings: list[Mapping[str, Any]]) -> ResidualView:
     """The residual along the position, with what the effects found take away from it; where that is not known per row, with the sum of
     the effects, or with its own mean."""
     residual = _residual(records)
     if findings and "explained_um" in records:
         taken = "what the effects found take away"
-        return View(
+        return ResidualView(
             records.target_mm, "Target position, mm", records.direction, residual, records["explained_um"], taken
         )
     effects = [
@@ -78,10 +78,10 @@ def position_view(records: Records, findings: list[Mapping[str, Any]]) -> View:
         over, name = np.asarray(np.sum(effects, axis=0), dtype=np.float64), "effects found"
     else:
         over, name = _mean_along(records.target_mm, residual, records.direction), "mean along the position"
-    return View(records.target_mm, "Target position, mm", records.direction, residual, over, name)
+    return ResidualView(records.target_mm, "Target position, mm", records.direction, residual, over, name)
 
 
-def finding_view(finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> View | None:
+def finding_view(finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *, alone: bool) -> ResidualView | None:
     """The drawing of a finding; None where `position_view` shows it, or without data to draw. alone: whether it is the only one."""
     records = None if diagnosed is None else diagnosed.records
     own = _own_plot(finding, records)
@@ -92,12 +92,12 @@ def finding_view(finding: Mapping[str, Any], diagnosed: NamedCampaign | None, *,
         return None
     residual, effect = _residual(records), _effect(records, finding, alone=alone)
     if effect is not None:
-        return View(*along, records.direction, residual, effect, plain(finding.get("effect")))
+        return ResidualView(*along, records.direction, residual, effect, plain(finding.get("effect")))
     mean = _mean_along(along[0], residual, records.direction)
-    return View(*along, records.direction, residual, mean, "mean along this column")
+    return ResidualView(*along, records.direction, residual, mean, "mean along this column")
 
 
-def _own_plot(finding: Mapping[str, Any], records: Records | None) -> View | None:
+def _own_plot(finding: Mapping[str, Any], records: Records | None) -> ResidualView | None:
     """The finding's own `plot`, None where it has none or one that cannot be drawn."""
     plot = finding.get("plot")
     if not isinstance(plot, Mapping):
@@ -113,9 +113,9 @@ def _own_plot(finding: Mapping[str, Any], records: Records | None) -> View | Non
     column = plain(plot.get("column", "x"))
     folded = _folded(x, finding) if column == "target_mm" else None
     if folded is not None:
-        return View(*folded, direction, residual, effect, plain(finding.get("effect")), _WITHOUT_OTHERS)
+        return ResidualView(*folded, direction, residual, effect, plain(finding.get("effect")), _WITHOUT_OTHERS)
     label = label_of(column, plot.get("unit"))
-    return View(x, label, direction, residual, effect, plain(finding.get("effect")), _WITHOUT_OTHERS)
+    return ResidualView(x, label, direction, residual, effect, plain(finding.get("effect")), _WITHOUT_OTHERS)
 
 
 def _floats(values: object) -> Floats | None:

@@ -29,7 +29,7 @@ class Curve:
     turned: bool = False  # the symbol upside down
 
 
-class Drawing:
+class RedrawnChart:
     """A chart that is redrawn for each new result. looks: class of the style sheet, "tall" or "round"; empty: key of what it says
     before the first."""
 

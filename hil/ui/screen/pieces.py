@@ -119,7 +119,7 @@ class Steps:
 
 
 @dataclass(frozen=True)
-class Check:
+class StartCondition:
     """A condition of a start. key: of what is missing, "ready.<key>"; fix: key of the button that puts it right, and what it does;
     figures: of places in that text, which are filled anew at each look."""
 
@@ -130,7 +130,7 @@ class Check:
     figures: Callable[[], dict[str, str]] = dict
 
 
-def draw_ready(view: View, page: str, *more: Check, builder: bool = False) -> Callable[[], None]:
+def draw_ready(view: View, page: str, *more: StartCondition, builder: bool = False) -> Callable[[], None]:
     """Draw what is missing for a start, each with the button that puts it right, or that nothing is; returns its refresh. builder: the
     job needs the builder's role; more: further conditions."""
     desk = view.desk
@@ -139,13 +139,13 @@ def draw_ready(view: View, page: str, *more: Check, builder: bool = False) -> Ca
         return not view.in_control and (desk.control.holder() is not None) is elsewhere
 
     checks = [
-        Check("control", lambda: not held(elsewhere=False), ("control.take", partial(take_control, view))),
-        Check("control_elsewhere", lambda: not held(elsewhere=True)),
-        Check("connection", lambda: desk.live.connected),
+        StartCondition("control", lambda: not held(elsewhere=False), ("control.take", partial(take_control, view))),
+        StartCondition("control_elsewhere", lambda: not held(elsewhere=True)),
+        StartCondition("connection", lambda: desk.live.connected),
     ]
     if builder:
         fix = ("role.become_builder", partial(ask_for_builder, view))
-        checks.append(Check("builder", lambda: not view.in_control or view.is_builder, fix))
+        checks.append(StartCondition("builder", lambda: not view.in_control or view.is_builder, fix))
     checks += more
     with view.named(ui.element("ul").classes("hil-ready"), f"{page}.ready") as box:
         rows = [(check, _draw_check(view, page, check)) for check in checks]
@@ -164,7 +164,7 @@ def draw_ready(view: View, page: str, *more: Check, builder: bool = False) -> Ca
     return refresh
 
 
-def _draw_check(view: View, page: str, check: Check) -> tuple[Element, ui.label]:
+def _draw_check(view: View, page: str, check: StartCondition) -> tuple[Element, ui.label]:
     """Its row, and the text in it."""
     with ui.element("li").classes("itself" if check.done_by_itself else "missing") as row:
         text = view.named(ui.label().classes("hil-wide"), f"{page}.ready.{check.key}")
@@ -178,16 +178,16 @@ _USABLE = (None, ReadingStatus.GOOD, ReadingStatus.LOST_BEFORE)
 """States of the instrument's signal with which a job can begin: it acknowledges a loss."""
 
 
-def measured_checks(view: View) -> tuple[Check, ...]:
+def measured_checks(view: View) -> tuple[StartCondition, ...]:
     """Conditions of a job that measures with the instrument: its signal; and that the axis is homed by the job, if it is not yet."""
     desk = view.desk
     return (
-        Check("signal", lambda: desk.live.instrument_status in _USABLE),
-        Check("homing", lambda: desk.live.homed is not False, done_by_itself=True),
+        StartCondition("signal", lambda: desk.live.instrument_status in _USABLE),
+        StartCondition("homing", lambda: desk.live.homed is not False, done_by_itself=True),
     )
 
 
-def tables_check(view: View, corrects: Callable[[], bool] = lambda: True) -> Check:
+def tables_check(view: View, corrects: Callable[[], bool] = lambda: True) -> StartCondition:
     """Condition of a job that corrects: the tables can be read. corrects: whether the job does. The password is not kept."""
 
     async def ask() -> None:
@@ -197,7 +197,7 @@ def tables_check(view: View, corrects: Callable[[], bool] = lambda: True) -> Che
             await view.attempt(lambda: view.in_worker_thread(lambda: view.desk.read_tables(token, *given)))
 
     readable = lambda: not corrects() or view.desk.rights.store is not None or not view.in_control  # noqa: E731
-    return Check("tables", readable, ("calibrate.open", ask))
+    return StartCondition("tables", readable, ("calibrate.open", ask))
 
 
 def take_control(view: View) -> None:
@@ -232,7 +232,7 @@ Found = TypeVar("Found")
 LOOK_S = 0.5
 
 
-class Reading(Generic[Found]):
+class FolderContents(Generic[Found]):
     """Contents of the axis's folder for a page: read in a worker thread, again after each job and computation.
 
     value: the last contents, None before the first reading. They are of what was there when that reading began: while a job runs, and
@@ -284,7 +284,7 @@ class Latest:
         return new
 
 
-class Table:
+class ScreenTable:
     """A table. columns: keys of the headings; the first `words` columns are text, the others figures, unless `figures` names those.
 
     tall: with its own scroll bar; on_row: called with the number of a row that is pressed

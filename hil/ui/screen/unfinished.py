@@ -10,7 +10,7 @@ from nicegui import ui
 
 from hil.desk.plan import text_key
 from hil.desk.unfinished import UnfinishedWork
-from hil.ui.screen.pieces import Reading
+from hil.ui.screen.pieces import FolderContents
 from hil.ui.screen.view import Button, View
 
 
@@ -30,7 +30,7 @@ def draw_unfinished(view: View, page: str, go_on: Mapping[str, GoOn] | None = No
     """
     t = view.t
     card = view.named(ui.element("section").classes("hil-card hil-left"), f"{page}.left_over")
-    kept: Reading[tuple[UnfinishedWork, ...]] = Reading(view, partial(_interrupted, view))
+    kept: FolderContents[tuple[UnfinishedWork, ...]] = FolderContents(view, partial(_interrupted, view))
     shown: list[tuple[UnfinishedWork, ...]] = [()]
     buttons: list[tuple[Button, Callable[[], str]]] = []
     card.set_visibility(False)
@@ -68,7 +68,7 @@ def draw_unfinished(view: View, page: str, go_on: Mapping[str, GoOn] | None = No
     return lambda: bool(shown[0])
 
 
-async def _discard(view: View, work: UnfinishedWork, kept: Reading[tuple[UnfinishedWork, ...]]) -> None:
+async def _discard(view: View, work: UnfinishedWork, kept: FolderContents[tuple[UnfinishedWork, ...]]) -> None:
     """Ask with what is lost, then give it up."""
     t = view.t
     lines = [t("overview.ask_discard", work=_words(view, work), rows=work.rows), t("overview.discard_lost")]

@@ -12,7 +12,7 @@ from nicegui import ui
 from drivers.drive import DriveState
 from hil.desk.desk import Desk
 from hil.desk.live import Live
-from hil.ui.screen.pieces import Reading, tables_written
+from hil.ui.screen.pieces import FolderContents, tables_written
 from hil.ui.screen.plots import Channel, LiveChart
 from hil.ui.screen.unfinished import draw_unfinished
 from hil.ui.screen.view import Button, Refresh, View
@@ -83,7 +83,7 @@ def _draw_correction(view: View) -> Refresh:
             correction = view.value("overview.correction_now", "µm", small=True)
         in_force = view.named(ui.label(), "overview.in_force")
         air = view.named(ui.label().classes("hil-name"), "overview.environment")
-    tables: Reading[datetime | None] = Reading(view, partial(tables_written, view.desk))
+    tables: FolderContents[datetime | None] = FolderContents(view, partial(tables_written, view.desk))
 
     def refresh() -> None:
         live = view.desk.live

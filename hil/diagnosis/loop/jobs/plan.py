@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.axis.axis_file import AxisConfig
 from hil.calibration.explore import Exploration
-from hil.desk.plan import Move, Plan, Write, measuring_plan
+from hil.desk.plan import Move, Plan, PlannedWrite, measuring_plan
 from hil.machine.in_motion_settings import InMotion
 from hil.machine.measure import bidirectional_steps
 from hil.records.journal import Campaign
@@ -35,7 +35,7 @@ def loop_plan(axis: AxisConfig, exploration: Exploration, in_motion: InMotion | 
     """The least moves and writes of a loop; runs that separate causes are added during it."""
     how = axis.measurement
     steps = bidirectional_steps(how.targets_mm, how.runs)
-    writes = [Write("rows", str(axis.store.directory)), Write("tables", str(axis.tables_path))]
+    writes = [PlannedWrite("rows", str(axis.store.directory)), PlannedWrite("tables", str(axis.tables_path))]
     plan = measuring_plan(axis, steps, writes, locked=True)
     moves = list(plan.moves)
     if exploration.warm_up_s > 0:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.canopen.pdo import EVENT, SYNC_EVERY, PdoSpec
-from drivers.canopen.pdo_lint import Cycle, Finding, MappableObject, Severity, lint, predict, refuse_errors
+from drivers.canopen.pdo_lint import Cycle, MappableObject, PdoProblem, Severity, lint, predict, refuse_errors
 from drivers.cia402 import objects
 from drivers.cia402.objects import Entry
 from drivers.errors import InputError
@@ -27,7 +27,7 @@ def _streaming(node_id: int) -> list[PdoSpec]:
     ]
 
 
-def _codes(findings: Sequence[Finding]) -> list[str]:
+def _codes(findings: Sequence[PdoProblem]) -> list[str]:
     return [finding.code for finding in findings]
 
 

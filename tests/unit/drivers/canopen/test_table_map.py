@@ -10,7 +10,7 @@ from drivers.canopen.eds import EdsEntry
 from drivers.canopen.not_parameters import why_not_written
 from drivers.canopen.table_map import load_table_map, shipped_tables
 from drivers.cia402.objects import DataType, Entry
-from drivers.correction_table import Directions, Nodes, Quantity, RawTable
+from drivers.correction_table import Directions, Nodes, RawFormat, RawTable
 from drivers.errors import InputError
 
 
@@ -25,10 +25,10 @@ def changed(tmp_path: Path, name: str, old: str, new: str) -> Path:
 def test_the_shipped_maps() -> None:
     array, domain = load_table_map("simulated_array"), load_table_map("simulated_domain")
     assert (array.description.nodes, array.description.points, array.description.sign) == (Nodes.EQUIDISTANT, 200, 1)
-    assert array.description.value == Quantity("counts", 1.0, -32768, 32767)
-    assert array.description.step == Quantity("counts", 1.0, 0, 2**32 - 1)
+    assert array.description.value == RawFormat("counts", 1.0, -32768, 32767)
+    assert array.description.step == RawFormat("counts", 1.0, 0, 2**32 - 1)
     assert (domain.description.nodes, domain.description.sign) == (Nodes.EXPLICIT, -1)
-    assert domain.description.value == Quantity("um", 0.1, -32768, 32767)
+    assert domain.description.value == RawFormat("um", 0.1, -32768, 32767)
     assert [column for column, _ in domain.record] == ["position", "plus", "minus"]
     for key, held in {(0x2310, 0): True, (0x2314, 1): True, (0x2314, 200): True, (0x2314, 201): False}.items():
         assert array.holds(*key) is held
@@ -42,7 +42,7 @@ def test_one_curve_and_a_backlash(tmp_path: Path) -> None:
     path.write_text(text)
     found = load_table_map(path)
     assert found.description.directions is Directions.BACKLASH
-    assert found.description.backlash == Quantity("counts", 1.0, -32768, 32767)
+    assert found.description.backlash == RawFormat("counts", 1.0, -32768, 32767)
     found.description.check(RawTable((1, 2), (), (), 0, 5, 77))
 
 

@@ -17,7 +17,7 @@ from drivers.modbus.drive_values import from_counts, to_counts
 from drivers.modbus.map_facts import FactLedger, Origin, Proof
 from drivers.modbus.map_loader import load_drive_map
 from drivers.modbus.map_roles import Condition
-from drivers.modbus.plan import Span, Table, WireCost, plan_reads
+from drivers.modbus.plan import AddressSpace, Span, WireCost, plan_reads
 from drivers.modbus.register_map import Register, find_map
 from drivers.modbus.word_order_evidence import judge_orders
 
@@ -116,7 +116,11 @@ def test_a_condition_takes_one_of_several_values_or_none_of_them() -> None:
 
 
 def test_objects_by_index_are_read_one_by_one() -> None:
-    wanted = [(Table.HOLDING, Span(0x6083, 2)), (Table.HOLDING, Span(0x6084, 2)), (Table.HOLDING, Span(0x6041, 1))]
+    wanted = [
+        (AddressSpace.HOLDING, Span(0x6083, 2)),
+        (AddressSpace.HOLDING, Span(0x6084, 2)),
+        (AddressSpace.HOLDING, Span(0x6041, 1)),
+    ]
     cost = WireCost.tcp()
     assert [each.span for each in plan_reads(wanted, cost, apart=True).requests] == [span for _, span in wanted]
     assert len(plan_reads(wanted, cost).requests) < 3
@@ -127,7 +131,7 @@ def test_objects_by_index_are_read_one_by_one() -> None:
 def held(
     value: int, drive: Order, mapped: Order, kind: RegisterType = RegisterType.I32
 ) -> dict[str, tuple[Register, tuple[int, ...]]]:
-    register = Register("p", Table.HOLDING, Span(0, 2), Layout(kind, mapped))
+    register = Register("p", AddressSpace.HOLDING, Span(0, 2), Layout(kind, mapped))
     return {"p": (register, encode(value, Layout(kind, drive)))}
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.modbus_direct import DirectWire
 
-from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable
+from drivers.correction_table import Directions, Interpolation, Nodes, Outside, RawFormat, RawTable
 from drivers.errors import AbortError, InputError, ProtocolError, StateError
 from drivers.modbus.correction_table import ModbusCorrectionTable
 from drivers.modbus.endpoint import Endpoint, TcpEndpoint
@@ -123,8 +123,8 @@ def test_the_shipped_maps_say_what_the_tables_are() -> None:
     assert pitch is not None
     found = error_map.description
     assert (found.nodes, found.outside, found.directions) == (Nodes.EXPLICIT, Outside.ZERO, Directions.BOTH)
-    assert found.position == Quantity("um", 1.0, -(2**31), 2**31 - 1)
-    assert found.value == Quantity("um", 0.05, -32768, 32767)
+    assert found.position == RawFormat("um", 1.0, -(2**31), 2**31 - 1)
+    assert found.value == RawFormat("um", 0.05, -32768, 32767)
     assert (found.shows_applied, found.wears) == (True, False)
     found = pitch.description
     assert (found.nodes, found.interpolation, found.directions) == (
@@ -133,7 +133,7 @@ def test_the_shipped_maps_say_what_the_tables_are() -> None:
         Directions.BACKLASH,
     )
     assert (found.shows_applied, found.wears) == (False, True)
-    assert found.backlash == Quantity("counts", 1.0, 0, 65535)
+    assert found.backlash == RawFormat("counts", 1.0, 0, 65535)
     for name in ("pitch_value", "pitch_active", "pitch_points"):
         assert name in load_drive_map("vendor_style").moving(), "no parameter of its own"
 

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from drivers.errors import InputError
 from drivers.modbus.codec import Layout, RegisterType
 from drivers.modbus.drive_values import from_counts, to_counts, to_percent
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.register_map import Register
 
 
 def register(unit: str, scale: float = 1.0, kind: RegisterType = RegisterType.I32) -> Register:
-    return Register("it", Table.HOLDING, Span(0, kind.words), Layout(kind), scale=scale, unit=unit)
+    return Register("it", AddressSpace.HOLDING, Span(0, kind.words), Layout(kind), scale=scale, unit=unit)
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,13 @@ from drivers.clock import NS_PER_S
 from drivers.errors import AbortError, InputError, LinkLostError, NoAnswerError, ProtocolError
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint
 from drivers.modbus.link import Doubt, LinkPolicy, ModbusLink
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.wire import Request
 from sim_backends.clock import SimClock
 
 TCP = TcpEndpoint("nowhere", timeout_s=0.2)
 RTU = RtuEndpoint("nowhere", baud=9600)
-HOLDING = Table.HOLDING
+HOLDING = AddressSpace.HOLDING
 
 Answer = tuple[int, ...] | BaseException | Callable[[Request], "tuple[int, ...]"]
 
@@ -228,8 +228,8 @@ def test_one_register_goes_with_function_6_or_16() -> None:
     r.link.write(1, HOLDING, 10, (1,))
     r.link.write(1, HOLDING, 10, (1,), single=False)
     r.link.write(1, HOLDING, 10, (1, 2))
-    r.link.write(1, Table.COIL, 10, (1,))
-    r.link.write(1, Table.COIL, 10, (1, 0))
+    r.link.write(1, AddressSpace.COIL, 10, (1,))
+    r.link.write(1, AddressSpace.COIL, 10, (1, 0))
     assert [int(request.function) for request in r.wire.requests] == [6, 16, 16, 5, 15]
 
 
@@ -482,4 +482,4 @@ def test_requests_that_cannot_be() -> None:
     with pytest.raises(InputError, match="at most 125"):
         link.read(1, HOLDING, Span(0, 126))
     with pytest.raises(InputError, match="cannot be written"):
-        link.write(1, Table.INPUT, 0, (1,))
+        link.write(1, AddressSpace.INPUT, 0, (1,))

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import InputError
-from drivers.modbus.plan import ReadRequest, Span, Table, WireCost, group_writes, plan_reads, silent_interval_s
+from drivers.modbus.plan import AddressSpace, ReadRequest, Span, WireCost, group_writes, plan_reads, silent_interval_s
 
 RTU = WireCost.rtu(115_200, drive_s=0.0)
-HOLDING = Table.HOLDING
+HOLDING = AddressSpace.HOLDING
 spans = st.builds(Span, st.integers(0, 600), st.integers(1, 8))
 costs = st.one_of(
     st.builds(WireCost.rtu, st.sampled_from([1200, 9600, 19200, 115_200]), st.floats(0, 0.02)),
@@ -32,7 +32,7 @@ def test_wire_time_counts_every_byte_of_the_frames() -> None:
     # write one: 8 each way; write three: 01 10 aaaa nnnn b data crc = 9 + 6, reply 8; ten coils read: 8 and 5 + 2
     assert cost.write_s(HOLDING, 1) == pytest.approx(16 * 11 / 9600 + 77 / 9600)
     assert cost.write_s(HOLDING, 3) == pytest.approx(23 * 11 / 9600 + 77 / 9600)
-    assert cost.read_s(Table.COIL, 10) == pytest.approx(15 * 11 / 9600 + 77 / 9600)
+    assert cost.read_s(AddressSpace.COIL, 10) == pytest.approx(15 * 11 / 9600 + 77 / 9600)
 
 
 @pytest.mark.parametrize(("baud", "expected_s"), [(9600, 38.5 / 9600), (19200, 38.5 / 19200), (38400, 0.00175)])
@@ -57,14 +57,16 @@ def test_what_must_not_be_read_is_never_bridged() -> None:
     wanted = [(HOLDING, Span(0, 1)), (HOLDING, Span(3, 1))]
     assert len(plan_reads(wanted, RTU, avoid=[(HOLDING, Span(2, 1))]).requests) == 2
     assert len(plan_reads(wanted, RTU, avoid=[(HOLDING, Span(1, 2))]).requests) == 2
-    assert len(plan_reads(wanted, RTU, avoid=[(HOLDING, Span(4, 2)), (Table.INPUT, Span(1, 1))]).requests) == 1
+    assert len(plan_reads(wanted, RTU, avoid=[(HOLDING, Span(4, 2)), (AddressSpace.INPUT, Span(1, 1))]).requests) == 1
 
 
 @given(
-    wanted=st.lists(st.tuples(st.sampled_from(Table), spans), min_size=1, max_size=30), cost=costs, gaps=st.booleans()
+    wanted=st.lists(st.tuples(st.sampled_from(AddressSpace), spans), min_size=1, max_size=30),
+    cost=costs,
+    gaps=st.booleans(),
 )
 def test_every_value_is_covered_whole_by_one_legal_request(
-    wanted: list[tuple[Table, Span]], cost: WireCost, gaps: bool
+    wanted: list[tuple[AddressSpace, Span]], cost: WireCost, gaps: bool
 ) -> None:
     plan = plan_reads(wanted, cost, gaps_readable=gaps)
     for table, span in wanted:
@@ -122,13 +124,13 @@ def test_writes_are_joined_only_where_they_touch_and_never_reordered() -> None:
     target, speed, ramp = (HOLDING, Span(10, 2)), (HOLDING, Span(12, 2)), (HOLDING, Span(20, 2))
     assert group_writes([target, speed, ramp]) == [[0, 1], [2]]
     assert group_writes([speed, target]) == [[0], [1]]
-    assert group_writes([target, (Table.COIL, Span(12, 1))]) == [[0], [1]]
+    assert group_writes([target, (AddressSpace.COIL, Span(12, 1))]) == [[0], [1]]
     assert group_writes([target, speed], max_registers=3) == [[0], [1]]
     assert group_writes([]) == []
 
 
-@given(st.lists(st.tuples(st.sampled_from([Table.COIL, HOLDING]), spans), max_size=20))
-def test_written_groups_hold_every_write_once_in_order(writes: list[tuple[Table, Span]]) -> None:
+@given(st.lists(st.tuples(st.sampled_from([AddressSpace.COIL, HOLDING]), spans), max_size=20))
+def test_written_groups_hold_every_write_once_in_order(writes: list[tuple[AddressSpace, Span]]) -> None:
     groups = group_writes(writes)
     assert [index for group in groups for index in group] == list(range(len(writes)))
     for group in groups:

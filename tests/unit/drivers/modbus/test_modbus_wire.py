@@ -14,7 +14,7 @@ from drivers.clock import IO_SLICE_S
 from drivers.errors import CapabilityError, InputError, LinkLostError, NoAnswerError
 from drivers.listening import Listening
 from drivers.modbus.endpoint import Endpoint, RtuEndpoint, TcpEndpoint, parse_endpoint
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.ports import slices
 from drivers.modbus.wire import Function, PymodbusWire, Request, over_and_over, unit_keyword
 
@@ -56,13 +56,13 @@ def test_bad_endpoints_are_refused(url: str, what: str) -> None:
 
 def test_replies_tell_requests_apart_as_far_as_modbus_lets_them() -> None:
     read = Request.read
-    assert read(Table.HOLDING, Span(0, 2)).echo == read(Table.HOLDING, Span(50, 2)).echo
-    assert read(Table.HOLDING, Span(0, 2)).echo != read(Table.INPUT, Span(0, 2)).echo
-    assert read(Table.COIL, Span(0, 3)).echo == read(Table.COIL, Span(9, 8)).echo
+    assert read(AddressSpace.HOLDING, Span(0, 2)).echo == read(AddressSpace.HOLDING, Span(50, 2)).echo
+    assert read(AddressSpace.HOLDING, Span(0, 2)).echo != read(AddressSpace.INPUT, Span(0, 2)).echo
+    assert read(AddressSpace.COIL, Span(0, 3)).echo == read(AddressSpace.COIL, Span(9, 8)).echo
     write = Request.write
-    assert write(Table.HOLDING, 5, (1,)).echo != write(Table.HOLDING, 5, (2,)).echo
-    assert write(Table.HOLDING, 5, (1, 1)).echo == write(Table.HOLDING, 5, (2, 2)).echo
-    assert write(Table.HOLDING, 5, (1, 1)).echo != write(Table.HOLDING, 6, (1, 1)).echo
+    assert write(AddressSpace.HOLDING, 5, (1,)).echo != write(AddressSpace.HOLDING, 5, (2,)).echo
+    assert write(AddressSpace.HOLDING, 5, (1, 1)).echo == write(AddressSpace.HOLDING, 5, (2, 2)).echo
+    assert write(AddressSpace.HOLDING, 5, (1, 1)).echo != write(AddressSpace.HOLDING, 6, (1, 1)).echo
 
 
 def test_the_unit_id_has_had_three_names() -> None:
@@ -141,7 +141,7 @@ def test_a_process_that_is_held_up_gives_the_reply_as_much_longer(held_up_s: flo
         try:
             expected = nullcontext() if held_up_s else pytest.raises(NoAnswerError, match=r"no answer within 0\.05 s")
             with expected:
-                assert wire.exchange(1, Request.read(Table.HOLDING, Span(0, 1)), 0.05) == (42,)
+                assert wire.exchange(1, Request.read(AddressSpace.HOLDING, Span(0, 1)), 0.05) == (42,)
         finally:
             wire.disconnect()
             thread.join()

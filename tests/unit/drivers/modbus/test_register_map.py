@@ -15,7 +15,7 @@ from drivers.errors import CapabilityError, InputError
 from drivers.modbus.codec import Order, RegisterType
 from drivers.modbus.drive_map import Handshake
 from drivers.modbus.map_loader import load_drive_map
-from drivers.modbus.plan import Span, Table
+from drivers.modbus.plan import AddressSpace, Span
 from drivers.modbus.register_access import RegisterAccess
 from drivers.modbus.register_map import Memory, RegisterRights, find_map, shipped_maps
 from drivers.modbus.touch_probe import ModbusTouchProbe
@@ -125,21 +125,21 @@ def one_register(base: str, body: str) -> str:
 @pytest.mark.parametrize(
     ("base", "address", "table", "start"),
     [
-        ("pdu0", "0", 'table = "holding"', (Table.HOLDING, 0)),
-        ("pdu0", "0x2000", 'table = "input"', (Table.INPUT, 0x2000)),
-        ("one", "1", 'table = "holding"', (Table.HOLDING, 0)),
-        ("modicon5", "40001", "", (Table.HOLDING, 0)),
-        ("modicon5", "49999", "", (Table.HOLDING, 9998)),
-        ("modicon5", "30010", 'table = "input"', (Table.INPUT, 9)),
-        ("modicon5", "10001", "", (Table.DISCRETE, 0)),
-        ("modicon5", '"00017"', "", (Table.COIL, 16)),
-        ("modicon6", "400001", "", (Table.HOLDING, 0)),
-        ("modicon6", "465536", "", (Table.HOLDING, 65535)),
-        ("modicon6", "300001", "", (Table.INPUT, 0)),
+        ("pdu0", "0", 'table = "holding"', (AddressSpace.HOLDING, 0)),
+        ("pdu0", "0x2000", 'table = "input"', (AddressSpace.INPUT, 0x2000)),
+        ("one", "1", 'table = "holding"', (AddressSpace.HOLDING, 0)),
+        ("modicon5", "40001", "", (AddressSpace.HOLDING, 0)),
+        ("modicon5", "49999", "", (AddressSpace.HOLDING, 9998)),
+        ("modicon5", "30010", 'table = "input"', (AddressSpace.INPUT, 9)),
+        ("modicon5", "10001", "", (AddressSpace.DISCRETE, 0)),
+        ("modicon5", '"00017"', "", (AddressSpace.COIL, 16)),
+        ("modicon6", "400001", "", (AddressSpace.HOLDING, 0)),
+        ("modicon6", "465536", "", (AddressSpace.HOLDING, 65535)),
+        ("modicon6", "300001", "", (AddressSpace.INPUT, 0)),
     ],
 )
 def test_addresses_in_the_manuals_notation(
-    write: Write, base: str, address: str, table: str, start: tuple[Table, int]
+    write: Write, base: str, address: str, table: str, start: tuple[AddressSpace, int]
 ) -> None:
     kind = "" if start[0].is_bits else 'type = "u16"'
     registers = load_register_map(write(one_register(base, f"address = {address}\n{table}\n{kind}\n")))
@@ -373,7 +373,7 @@ def test_the_shipped_maps_are_complete_and_of_different_shape() -> None:
     assert vendor.move.handshake is Handshake.TRIGGER
     target = vendor.registers["target"]
     assert (target.span, target.layout.type, target.layout.word_order) == (Span(0, 2), RegisterType.I32, Order.LITTLE)
-    assert vendor.registers["servo_on"].table is Table.COIL
+    assert vendor.registers["servo_on"].table is AddressSpace.COIL
     assert vendor.registers["name_plate"].access is RegisterRights.RO
     assert vendor.registers["origin_offset"].memory is Memory.EEPROM
     assert cia402.registers["statusword"].span == Span(0x2000, 1)

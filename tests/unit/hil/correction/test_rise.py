@@ -17,7 +17,7 @@ from hil.correction.rise import (
     TANH,
     TWO_TANH,
     Rise,
-    Shape,
+    RiseShape,
     rise_from_json,
 )
 
@@ -93,7 +93,7 @@ def test_a_rise_has_settled_where_it_is_its_amount_to_the_last_bit(rise: Rise) -
         (STRAIGHT_PIECES, (1.0,) * 15, PLACES),
     ],
 )
-def test_what_is_no_rise_is_refused(shape: Shape, amounts: tuple[float, ...], lengths: tuple[float, ...]) -> None:
+def test_what_is_no_rise_is_refused(shape: RiseShape, amounts: tuple[float, ...], lengths: tuple[float, ...]) -> None:
     with pytest.raises(InputError):
         Rise(shape, amounts, lengths)
 

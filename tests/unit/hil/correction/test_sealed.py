@@ -57,7 +57,7 @@ from hil.correction.sealed import (
 from hil.correction.sealed.container import unpack
 from hil.correction.sealed.errors import WrongKeyPasswordError
 from hil.correction.sealed.keys import KEY_COST
-from hil.correction.sealed.seen import Seen
+from hil.correction.sealed.seen import SeenFile
 from hil.records import files
 
 CHEAP = Cost(n=2, r=1, p=1)
@@ -337,7 +337,7 @@ def test_a_file_of_version_1_opens_and_states_no_binding() -> None:
     assert open_sealed(VERSION_1, "correct horse", PUBLIC) == ENTRIES
     info = check(VERSION_1, PUBLIC)
     assert (info.version, info.binding) == (1, None)
-    assert Seen.of(info).counter == 0  # so that the first change of it, number 1, is a later one
+    assert SeenFile.of(info).counter == 0  # so that the first change of it, number 1, is a later one
 
 
 def test_a_file_of_version_1_is_bound_when_it_is_resealed() -> None:

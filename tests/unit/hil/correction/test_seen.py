@@ -17,7 +17,7 @@ from drivers.errors import InputError, StateError
 from hil.app.main import main
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.correction.sealed import ReplacedError, check, new_key, resign
-from hil.correction.sealed.seen import Seen, check_seen
+from hil.correction.sealed.seen import SeenFile, check_seen
 from hil.correction.store import SealedStore
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 
@@ -137,8 +137,8 @@ def test_a_file_that_was_there_before_the_note_opens_and_is_remembered(axis: Axi
     form = json.loads(builder.seen_path.read_text())
     info = check(builder.path.read_bytes(), builder.builder_public)
     assert info.binding is not None
-    assert form == vars(Seen(info.id, 1, info.binding.date, info.builder, info.sha256))
-    assert Seen.of(info).counter == 1
+    assert form == vars(SeenFile(info.id, 1, info.binding.date, info.builder, info.sha256))
+    assert SeenFile.of(info).counter == 1
 
 
 def test_the_stated_limit_who_deletes_the_note_takes_the_memory_with_it(axis: AxisConfig) -> None:

@@ -19,7 +19,7 @@ from drivers.errors import InputError
 from hil.correction.tables import (
     Band,
     DirectionalTable,
-    Outside,
+    OutsideBand,
     SectionMeans,
     SignedSections,
     SingleTable,
@@ -547,7 +547,7 @@ def test_the_first_value_is_the_middle_of_the_band_with_its_sign() -> None:
 def test_only_the_sections_outside_are_revised_and_the_others_stay_bit_for_bit() -> None:
     at = np.array([0.0, 10.0, 20.0])
     table = DirectionalTable(at, np.array([6.5, 6.4, 0.1 + 0.2]), np.array([6.5, 6.6, 6.7]))
-    revised = revise(table, [Outside(10.0, 1, 5.4), Outside(20.0, -1, 7.3)], BAND)
+    revised = revise(table, [OutsideBand(10.0, 1, 5.4), OutsideBand(20.0, -1, 7.3)], BAND)
     assert revised.plus_um.tolist() == [6.5, pytest.approx(6.4 + 6.5 - 5.4), 0.1 + 0.2]
     assert revised.minus_um.tolist() == [6.5, 6.6, pytest.approx(6.7 + 6.5 - 7.3)]
     assert table.plus_um[1] == 6.4  # the old one is untouched
@@ -555,13 +555,13 @@ def test_only_the_sections_outside_are_revised_and_the_others_stay_bit_for_bit()
 
 def test_fine_steps_go_towards_the_band_by_that_step() -> None:
     table = DirectionalTable.constant(np.array([0.0]), 6.5)
-    assert revise(table, [Outside(0.0, 1, 5.9)], BAND, fine_step_um=0.1).plus_um[0] == pytest.approx(6.6)
-    assert revise(table, [Outside(0.0, -1, 7.1)], BAND, fine_step_um=0.1).minus_um[0] == pytest.approx(6.4)
+    assert revise(table, [OutsideBand(0.0, 1, 5.9)], BAND, fine_step_um=0.1).plus_um[0] == pytest.approx(6.6)
+    assert revise(table, [OutsideBand(0.0, -1, 7.1)], BAND, fine_step_um=0.1).minus_um[0] == pytest.approx(6.4)
 
 
 def test_a_section_the_table_does_not_have_is_refused() -> None:
     with pytest.raises(InputError, match="15 mm"):
-        revise(DirectionalTable.constant(np.array([0.0, 10.0]), 6.5), [Outside(15.0, 1, 5.0)], BAND)
+        revise(DirectionalTable.constant(np.array([0.0, 10.0]), 6.5), [OutsideBand(15.0, 1, 5.0)], BAND)
 
 
 @given(
@@ -584,7 +584,7 @@ def test_revising_converges_on_machines_whose_tables_are_wrong(
     for _ in range(5):
         error = {1: biases[1] + gain * table.plus_um, -1: biases[-1] + gain * table.minus_um}
         outside = [
-            Outside(target, sign, float(error[sign][int(target)]))
+            OutsideBand(target, sign, float(error[sign][int(target)]))
             for target, sign in measured_ever
             if not band.holds(error[sign][int(target)])
         ]
@@ -692,7 +692,7 @@ def test_what_is_not_judged_is_not_outside() -> None:
 def test_a_revision_aims_at_the_band_with_its_sign() -> None:
     """-6.5 µm wanted and -5 µm measured: 1.5 µm less; a fine step of 0.1 µm goes down."""
     table = DirectionalTable.constant(np.array([150.0]), -6.0)
-    section = Outside(150.0, 1, -5.0)
+    section = OutsideBand(150.0, 1, -5.0)
     assert revise(table, [section], SIGNED).plus_um[0] == pytest.approx(-7.5)
     assert revise(table, [section], SIGNED, fine_step_um=0.1).plus_um[0] == pytest.approx(-6.1)
 

@@ -22,14 +22,16 @@ from hil.diagnosis.loop import job as close_loop
 from hil.diagnosis.loop import job as loop_job
 from hil.diagnosis.loop.job import Person
 from hil.diagnosis.loop.procedure import Loop, Turning
-from hil.diagnosis.next.planned_run import PlannedRun, Point
+from hil.diagnosis.next.planned_run import PlannedPoint, PlannedRun
 from hil.machine.conditions import AskedConditions, NoConditions
 from hil.machine.events import silent
 from hil.machine.machine import Machine
 from hil.machine.session import AxisSession
 
 Until = Callable[[Callable[[], bool], str], None]
-RUN = PlannedRun("levels", "measure by turns", (Point(1, 1, 0.0, 1.0),), 3.0, "somebody has to bring load to 60 kg")
+RUN = PlannedRun(
+    "levels", "measure by turns", (PlannedPoint(1, 1, 0.0, 1.0),), 3.0, "somebody has to bring load to 60 kg"
+)
 SAID = "measure by turns (1 rows, about 3 min; somebody has to bring load to 60 kg)"
 
 

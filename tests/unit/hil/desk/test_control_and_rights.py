@@ -8,7 +8,7 @@ from support.bench_axis import PASSWORDS, lay_out
 from drivers.errors import InputError
 from hil.axis.axis_file import load_axis
 from hil.correction.sealed import WrongPasswordError
-from hil.desk.control import SILENT_S, Control, ControlHeldError, NotInControlError
+from hil.desk.control import SILENT_S, ControlHeldError, DeskControl, NotInControlError
 from hil.desk.roles import LockedError, Rights, Role
 
 
@@ -20,7 +20,7 @@ class Clock:
 
 
 def test_one_holder_at_a_time() -> None:
-    control = Control()
+    control = DeskControl()
     assert control.holder() is None
     token = control.take("first")
     assert control.holds(token)
@@ -38,7 +38,7 @@ def test_one_holder_at_a_time() -> None:
 
 def test_taken_over_only_from_a_holder_without_a_sign_of_life() -> None:
     clock = Clock()
-    control = Control(clock)
+    control = DeskControl(clock)
     first = control.take("first")
     clock.now_s += SILENT_S
     control.sign_of_life(first)
@@ -59,7 +59,7 @@ def test_taken_over_only_from_a_holder_without_a_sign_of_life() -> None:
 
 
 def test_every_change_of_hands_is_told() -> None:
-    control, told = Control(), []
+    control, told = DeskControl(), []
     control.on_change = lambda: told.append(control.holder())
     token = control.take("first")
     control.release(token)

@@ -16,7 +16,7 @@ from drivers.errors import LinkLostError, StateError
 from drivers.instrument import ReadingStatus
 from hil.axis.axis_file import DriveAxis, load_axis, load_drive_axis
 from hil.desk import axis_thread
-from hil.desk.axis_thread import Connection, to_axis
+from hil.desk.axis_thread import DeskConnection, to_axis
 from hil.desk.control import NotInControlError
 from hil.desk.desk import BusyError, Desk
 from hil.desk.job import Job, Workplace
@@ -169,7 +169,7 @@ def test_a_stop_of_an_axis_that_is_enabled_and_idle(
     axis = axis_of(tmp_path)
 
     @contextmanager
-    def enabled(waiting: Waiting) -> Iterator[Connection]:
+    def enabled(waiting: Waiting) -> Iterator[DeskConnection]:
         with to_axis(axis)(waiting) as connection:
             connection.drive.enable()
             yield connection
@@ -217,7 +217,7 @@ def test_an_error_while_a_stop_is_carried_out_does_not_deafen_the_next_job(
     axis, connecting, tries = axis_of(tmp_path), threading.Event(), []
 
     @contextmanager
-    def fails_when_stopped(waiting: Waiting) -> Iterator[Connection]:
+    def fails_when_stopped(waiting: Waiting) -> Iterator[DeskConnection]:
         tries.append(waiting)
         if len(tries) == 1:
             try:
@@ -364,7 +364,7 @@ def test_an_axis_that_does_not_answer_is_asked_again(
     monkeypatch.setattr(axis_thread, "RETRY_S", 0.05)
 
     @contextmanager
-    def at_the_third_time(waiting: Waiting) -> Iterator[Connection]:
+    def at_the_third_time(waiting: Waiting) -> Iterator[DeskConnection]:
         tries.append(waiting)
         if len(tries) < 3:
             raise LinkLostError("nobody there")
@@ -418,12 +418,12 @@ def test_after_a_lost_beam_nothing_goes_on_until_a_person_begins_a_job(face: str
     bench = replace(bench_parameters(axis), laser_faults=(loss,))
 
     @contextmanager
-    def connect(waiting: Waiting) -> Iterator[Connection]:
+    def connect(waiting: Waiting) -> Iterator[DeskConnection]:
         with (
             running_bench([axis], [bench], waiting) as running,
             connected(axis, running, waiting=waiting) as machine,
         ):
-            yield Connection(machine.session.drive, machine.session)
+            yield DeskConnection(machine.session.drive, machine.session)
 
     def measured(place: Workplace) -> float:
         session = place.machine().session

@@ -12,7 +12,7 @@ from drivers.errors import LinkLostError
 from hil.axis.axis_file import load_axis
 from hil.desk import event_log
 from hil.desk.desk import Desk
-from hil.desk.event_log import EventLog, Kind
+from hil.desk.event_log import EventLog, LogKind
 from hil.desk.job import Job, Workplace
 from hil.desk.plan import Plan
 
@@ -22,8 +22,8 @@ Until = Callable[[Callable[[], bool], str], None]
 def test_an_alarm_stands_until_it_is_acknowledged_over_a_restart(tmp_path: Path) -> None:
     path = tmp_path / "a" / "events.jsonl"
     log = EventLog(path, "X")
-    log.add(Kind.JOB, "started", who="Browser 1", job="calibrate")
-    alarm = log.add(Kind.ALARM, "failed", cause="no answer", remedy="link", job="calibrate")
+    log.add(LogKind.JOB, "started", who="Browser 1", job="calibrate")
+    alarm = log.add(LogKind.ALARM, "failed", cause="no answer", remedy="link", job="calibrate")
     again = EventLog(path, "X")
     assert again.alarms() == (alarm,)
     again.acknowledge(alarm.number, "Browser 2")
@@ -39,13 +39,13 @@ def test_an_alarm_stands_until_it_is_acknowledged_over_a_restart(tmp_path: Path)
 
 def test_a_torn_line_and_a_full_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "events.jsonl"
-    EventLog(path, "X").add(Kind.STOP, "stop")
+    EventLog(path, "X").add(LogKind.STOP, "stop")
     with path.open("ab") as file:
         file.write(b'{"number": 2, "wh')
     assert [one.what for one in EventLog(path, "X").entries()] == ["stop"]
     monkeypatch.setattr(event_log, "MOST_BYTES", path.stat().st_size + 10)
     log = EventLog(path, "X")
-    log.add(Kind.STOP, "stop")
+    log.add(LogKind.STOP, "stop")
     assert path.with_name("events.jsonl.1").exists()
     assert len(log.entries()) == 2
 
@@ -54,11 +54,11 @@ def test_alarms_that_stand_outlast_full_files_and_a_restart(tmp_path: Path, monk
     path = tmp_path / "events.jsonl"
     monkeypatch.setattr(event_log, "MOST_BYTES", 3000)
     log = EventLog(path, "X")
-    first = log.add(Kind.ALARM, "fault", cause="short circuit")
-    gone = log.add(Kind.ALARM, "fault", cause="too warm")
+    first = log.add(LogKind.ALARM, "fault", cause="short circuit")
+    gone = log.add(LogKind.ALARM, "fault", cause="too warm")
     log.acknowledge(gone.number, "Ann")
     for _ in range(60):  # four files
-        log.add(Kind.STOP, "stop")
+        log.add(LogKind.STOP, "stop")
     assert path.stat().st_size <= 3000
     assert EventLog(path, "X").alarms() == log.alarms() == (first,)
     assert EventLog(path, "X").number == log.number
@@ -66,14 +66,14 @@ def test_alarms_that_stand_outlast_full_files_and_a_restart(tmp_path: Path, monk
 
 def test_not_more_alarms_stand_than_are_shown(tmp_path: Path) -> None:
     log = EventLog(tmp_path / "events.jsonl", "X")
-    alarms = [log.add(Kind.ALARM, "fault") for _ in range(event_log.KEPT + 1)]
+    alarms = [log.add(LogKind.ALARM, "fault") for _ in range(event_log.KEPT + 1)]
     assert log.alarms() == tuple(reversed(alarms[1:]))
 
 
 def test_a_disk_that_cannot_be_written_loses_nothing_shown(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     log = EventLog(tmp_path / "file" / "events.jsonl", "X")
-    log.add(Kind.STOP, "stop")
+    log.add(LogKind.STOP, "stop")
     assert [one.what for one in log.entries()] == ["stop"]
     assert "file/events.jsonl" in log.trouble
 
@@ -92,14 +92,14 @@ def test_a_desk_logs_who_started_and_wrote_what_and_how_it_failed(tmp_path: Path
         assert (alarm.cause, alarm.remedy, alarm.figures["job"]) == ("node 1 does not answer", "link", "test")
         told = [(one.kind, one.what, one.who) for one in reversed(desk.events.entries())]
         assert told == [
-            (Kind.JOB, "started", "Browser 7"),
-            (Kind.WRITE, "wrote", "Browser 7"),
-            (Kind.JOB, "done", "Browser 7"),
-            (Kind.JOB, "started", "Browser 7"),
-            (Kind.ALARM, "failed", "Browser 7"),
+            (LogKind.JOB, "started", "Browser 7"),
+            (LogKind.WRITE, "wrote", "Browser 7"),
+            (LogKind.JOB, "done", "Browser 7"),
+            (LogKind.JOB, "started", "Browser 7"),
+            (LogKind.ALARM, "failed", "Browser 7"),
         ]
 
 
 def test_a_name_with_a_foreign_line_end_is_found_again(tmp_path: Path) -> None:
-    EventLog(tmp_path / "events.jsonl", "X").add(Kind.CONTROL, "taken", who="a\u2028b\x85c")
+    EventLog(tmp_path / "events.jsonl", "X").add(LogKind.CONTROL, "taken", who="a\u2028b\x85c")
     assert [entry.who for entry in EventLog(tmp_path / "events.jsonl", "X").entries()] == ["a\u2028b\x85c"]

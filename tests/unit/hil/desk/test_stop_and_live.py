@@ -14,7 +14,7 @@ from drivers.instrument import Reading, ReadingStatus
 from drivers.parameters import DriveParameters, ParameterInfo, ParameterKind, ParameterValue
 from hil.desk.axis_thread import limits_of
 from hil.desk.live import Board, Live, SignalLimits, of_sample
-from hil.desk.stop import CameToRest, Pacing, Standstill, Stop, StoppedByOperator
+from hil.desk.stop import CameToRest, MeasuredStop, Pacing, Stop, StoppedByOperator
 from sim_backends.clock import BEAT_NS, SimClock
 
 
@@ -88,7 +88,7 @@ def test_it_is_raised_once_and_not_while_it_is_carried_out() -> None:
 
 def seen_braking(pressed_at_s: float, speed_mm_s: float = 20.0) -> CameToRest | None:
     """An axis that moves until 1 s and then brakes by 100 mm/s², looked at every 10 ms."""
-    standstill, position_mm = Standstill(), 0.0
+    standstill, position_mm = MeasuredStop(), 0.0
     for look in range(200):
         time_s = look / 100.0
         if time_s >= pressed_at_s:

@@ -13,14 +13,14 @@ from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import AllRows, prepare
 from hil.diagnosis.model.evidence import Fit, score
 from hil.diagnosis.model.force import Folds, Force, improves
-from hil.diagnosis.model.rows import Rows
+from hil.diagnosis.model.rows import ModelRows
 from hil.records.rows import Records
 
 
 def predicted(records: Records, out: Floats) -> Floats:
     """What the table of the other rows says of each row, its noise model as it is."""
-    rows = Rows(prepare(records))
-    noise = score(Rows(prepare(campaign(wavy, runs=5))), ())[0].noise
+    rows = ModelRows(prepare(records))
+    noise = score(ModelRows(prepare(campaign(wavy, runs=5))), ())[0].noise
     return Force(Fit(rows, (), noise), {}).without(out).error_um(prepare(records).columns)
 
 

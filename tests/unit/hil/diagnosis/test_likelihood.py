@@ -13,7 +13,7 @@ from hil.diagnosis.campaign import prepare
 from hil.diagnosis.model.candidates import Catalogue, Ranked
 from hil.diagnosis.model.evidence import Candidate, Fit, Noise
 from hil.diagnosis.model.intervals import terms_of
-from hil.diagnosis.model.rows import NO_MEMORY, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, ModelRows
 from hil.diagnosis.result import Finding
 from hil.effects import Effect, Term
 from hil.effects.base import Estimate
@@ -55,7 +55,7 @@ CASES: dict[str, tuple[Effect, str, Callable[[dict[str, Array]], Array]]] = {
 }
 
 
-def fitted(rows: Rows, effect: Effect, form_name: str) -> tuple[Fit, Candidate, Term]:
+def fitted(rows: ModelRows, effect: Effect, form_name: str) -> tuple[Fit, Candidate, Term]:
     """The effect in a form at the likeliest of its grid, refined: the fit, the candidate and its term."""
     catalogue = Catalogue(rows, (effect,))
     bare = Fit(rows, (), WHITE)
@@ -71,7 +71,7 @@ def fitted(rows: Rows, effect: Effect, form_name: str) -> tuple[Fit, Candidate, 
 
 def searched(name: str, seed: int = 3) -> tuple[Fit, Candidate, Term]:
     effect, form_name, error_um = CASES[name]
-    return fitted(Rows(prepare(campaign(error_um, sensors=warms, seed=seed, runs=5))), effect, form_name)
+    return fitted(ModelRows(prepare(campaign(error_um, sensors=warms, seed=seed, runs=5))), effect, form_name)
 
 
 def test_a_fixed_point_has_the_interval_of_minos_too() -> None:
@@ -94,7 +94,7 @@ def test_ends_of_what_is_derived_are_those_of_many_points_of_the_region(phase: f
         first = at[0] * np.sin(angle) + at[1] * np.cos(angle)
         return np.asarray(wavy(c) + 0.9 * (1.0 + 0.3 * c["target_mm"] / 300.0) * first + 0.2 * np.sin(2.0 * angle))
 
-    rows = Rows(prepare(campaign(uneven, seed=5, runs=5)))
+    rows = ModelRows(prepare(campaign(uneven, seed=5, runs=5)))
     _, _, term = fitted(rows, Cyclic(), "with second harmonic, amplitude changing along the travel")
     rng = np.random.default_rng(1)
     drawn = []
@@ -120,7 +120,7 @@ def test_ends_of_what_is_derived_are_those_of_many_points_of_the_region(phase: f
 
 
 def test_an_amplitude_that_may_be_none_begins_at_0() -> None:
-    _, _, term = fitted(Rows(prepare(campaign(wave, seed=4, runs=5))), Cyclic(), "with second harmonic")
+    _, _, term = fitted(ModelRows(prepare(campaign(wave, seed=4, runs=5))), Cyclic(), "with second harmonic")
     assert term.parameters["second_harmonic_um"].interval[0] == 0.0
     assert term.parameters["amplitude_um"].interval[0] > 0.3
     assert Estimate(-0.4, 0.3, (-1.0, 0.2)).size == Estimate(0.4, 0.3, (0.0, 1.0))
@@ -146,7 +146,7 @@ def test_an_interval_is_said_as_its_ends_where_it_is_not_symmetric() -> None:
     assert str(Estimate(10.0, 1.0, (8.5, 14.0))) == "10 (8.5 to 14)"
 
 
-def left_of(rows: Rows, columns: Array) -> Array:
+def left_of(rows: ModelRows, columns: Array) -> Array:
     """What least squares of the table leaves of columns of the rows, its ridge as further rows."""
     design = np.hstack([rows.random, rows.fixed])
     ridge = np.concatenate([np.exp(-WHITE.log_sd)[rows.group], np.zeros(rows.fixed.shape[1])])

@@ -11,7 +11,7 @@ from hil.diagnosis.next.causes import weigh
 from hil.diagnosis.next.continuation import TYPICAL_OFFSET, Continuation
 from hil.diagnosis.next.feasible import feasible_runs
 from hil.diagnosis.next.next_measurement import least_told, outlook
-from hil.diagnosis.next.planned_run import Means, Point, motion_columns
+from hil.diagnosis.next.planned_run import Means, PlannedPoint, motion_columns
 from hil.effects import ALL
 from hil.effects.model import Model, PitchTable
 from hil.records.rows import Records
@@ -142,7 +142,7 @@ def test_motion_is_the_engines() -> None:
     rng = np.random.default_rng(8)
     means = Means(0.0, 300.0, overrun_mm=2.0)
     points = [
-        Point(1, int(d), float(x), float(o))
+        PlannedPoint(1, int(d), float(x), float(o))
         for d, x, o in zip(
             rng.choice([1, -1], 60), rng.uniform(20, 280, 60).round(3), rng.uniform(0.5, 15, 60), strict=True
         )

@@ -12,7 +12,7 @@ from support.workshop import workshop
 from hil.diagnosis import diagnose
 from hil.diagnosis.campaign import CampaignRows, prepare
 from hil.diagnosis.model.evidence import Fit, Noise, Part
-from hil.diagnosis.model.rows import NO_MEMORY, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, ModelRows
 from hil.diagnosis.repeats import pure_error
 from hil.diagnosis.table import TableBasis
 from hil.records.rows import Records
@@ -41,10 +41,10 @@ def load_cell() -> CampaignRows:
     return prepare(Records.of(columns | {"measured_mm": LOADS + error_um / 1000.0}))
 
 
-def straight() -> Rows:
+def straight() -> ModelRows:
     """The same with a line for a table."""
     basis = TableBasis(np.array([LOADS[0], LOADS[-1]]), both_directions=False)
-    return Rows(CampaignRows(**{**vars(load_cell()), "basis": basis}))
+    return ModelRows(CampaignRows(**{**vars(load_cell()), "basis": basis}))
 
 
 def of_powers(u: np.ndarray, *powers: int) -> Part:
@@ -56,8 +56,8 @@ def test_what_models_of_the_certified_load_cell_leave_against_its_pure_error() -
     cell = load_cell()
     assert cell.repeated
     y = cell.error_um
-    pure = Fit(Rows(cell), (), FREE).sigma
-    assert Fit(Rows(cell), (), FREE).spent == pytest.approx(20.0, abs=1e-3)
+    pure = Fit(ModelRows(cell), (), FREE).sigma
+    assert Fit(ModelRows(cell), (), FREE).spent == pytest.approx(20.0, abs=1e-3)
     pure *= math.sqrt(38 / 20)  # a random part spends no degrees of freedom of the noise
     assert pure == pytest.approx(math.sqrt(np.mean((y[:20] - y[20:]) ** 2) / 2), rel=1e-5)
     curve = of_powers(cell.x / 1e6, 2)

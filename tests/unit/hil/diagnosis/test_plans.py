@@ -10,7 +10,7 @@ from drivers.errors import InputError
 from drivers.limits import DriveLimits
 from hil.diagnosis.loop.next_run import runs_of
 from hil.diagnosis.next.design import design
-from hil.diagnosis.next.planned_run import Means, Point
+from hil.diagnosis.next.planned_run import Means, PlannedPoint
 from hil.diagnosis.next.plans import read_plan, to_plan
 
 LIMITS = DriveLimits(0.0, 500.0, 100.0, 500.0)
@@ -50,12 +50,12 @@ def test_what_is_no_plan_is_refused_with_its_line(tmp_path: Path, text: str, wor
 def test_a_plan_is_parted_where_something_is_set_or_the_axis_is_warmed() -> None:
     heavy = (("load_kg", 80.0),)
     points = [
-        Point(1, 1, 20.0, 1.0),
-        Point(1, 1, 40.0, 1.0, dwell_s=3.0, feed_mm_s=10.0),
-        Point(2, 1, 20.0, 1.0, strokes_s=60.0),
-        Point(2, 1, 40.0, 1.0),
-        Point(3, 1, 20.0, 1.0, levels=heavy),
-        Point(3, 1, 40.0, 1.0, levels=heavy),
+        PlannedPoint(1, 1, 20.0, 1.0),
+        PlannedPoint(1, 1, 40.0, 1.0, dwell_s=3.0, feed_mm_s=10.0),
+        PlannedPoint(2, 1, 20.0, 1.0, strokes_s=60.0),
+        PlannedPoint(2, 1, 40.0, 1.0),
+        PlannedPoint(3, 1, 20.0, 1.0, levels=heavy),
+        PlannedPoint(3, 1, 40.0, 1.0, levels=heavy),
     ]
     runs = runs_of(points)
     assert [len(run.steps) for run in runs] == [2, 2, 2]

@@ -8,7 +8,7 @@ from support.campaigns import campaign, wavy
 
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.model.evidence import Fit, Noise
-from hil.diagnosis.model.rows import NO_MEMORY, Given, Rows
+from hil.diagnosis.model.rows import NO_MEMORY, Given, ModelRows
 from hil.diagnosis.table import DeclaredShape, SplineShape, TableBasis
 from hil.effects.model import Model, PitchTable
 from hil.records.rows import Records
@@ -49,7 +49,7 @@ def test_the_covariance_at_the_nodes_is_that_of_what_is_read_there() -> None:
 
 def moved(table: PitchTable, records: Records) -> PitchTable:
     """A declared table as rows with a noise of 0.3 µm move it."""
-    rows = Rows(prepare(records), Given(Model(table), DeclaredShape.of(table, noise_um=0.3), ()))
+    rows = ModelRows(prepare(records), Given(Model(table), DeclaredShape.of(table, noise_um=0.3), ()))
     fit = Fit(rows, (), Noise(NO_MEMORY, np.zeros(3)))
     return rows.shape.tabulate(fit.beta[fit.of_table()])
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
+from drivers.correction_table import Directions, Interpolation, Nodes, Outside, RawFormat, RawTable, TableDescription
 from drivers.errors import CorrectionBoundError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
@@ -18,7 +18,7 @@ from hil.correction.bound import CorrectionBound
 from hil.correction.tables import DirectionalTable
 from hil.drive_table.curve import DriveCurve, check_curve, largest_deviation_um
 
-COUNTS, TWENTIETHS = Quantity("counts", 1.0, -100_000, 100_000), Quantity("um", 0.05, -1000, 1000)
+COUNTS, TWENTIETHS = RawFormat("counts", 1.0, -100_000, 100_000), RawFormat("um", 0.05, -1000, 1000)
 PLAIN = TableDescription(
     "table",
     10,

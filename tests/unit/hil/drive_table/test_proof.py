@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, RawTable, TableDescription
+from drivers.correction_table import Directions, Interpolation, Nodes, Outside, RawFormat, RawTable, TableDescription
 from drivers.errors import StateError
 from drivers.scaling import AxisScaling
 from hil.correction.tables import DirectionalTable
 from hil.drive_table.proof import (
     PositionDifference,
-    Proof,
     ProofMotion,
+    TableProof,
     bidirectional_targets,
     proof_of,
     prove_by_drive,
@@ -68,9 +68,9 @@ def test_the_place_with_the_fewest_runs_has_the_largest_uncertainty() -> None:
     assert math.isnan(proof_of({"bridge-1": block(once), "drive-1": block(once)}, 1.0).u95_um)
 
 
-def proof(*differences_um: float, bridge_um: float = 10.0, u95_um: float = 0.25) -> Proof:
+def proof(*differences_um: float, bridge_um: float = 10.0, u95_um: float = 0.25) -> TableProof:
     places = tuple(PositionDifference(10.0 * k, 1, each, bridge_um) for k, each in enumerate(differences_um))
-    return Proof(places, u95_um, 1.0, measured=True)
+    return TableProof(places, u95_um, 1.0, measured=True)
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def proof(*differences_um: float, bridge_um: float = 10.0, u95_um: float = 0.25)
         (proof(-20.0, -20.0), False, "it adds -1.00 times what the bridge adds (the sign?)"),
     ],
 )
-def test_the_verdict(found: Proof, good: bool, said: str) -> None:
+def test_the_verdict(found: TableProof, good: bool, said: str) -> None:
     assert found.good is good
     assert said in found.verdict
     assert ("homed?" in found.verdict, "sign?" in found.verdict) == ("homed?" in said, "sign?" in said)
@@ -115,7 +115,7 @@ class Stand:
         self.scaling = AxisScaling(100_000, 10.0)
         self.correction_table = self.drive = self
         self.axes = [self]
-        places, twentieths = Quantity("counts", 1.0, -100_000, 100_000), Quantity("um", 0.05, -1000, 1000)
+        places, twentieths = RawFormat("counts", 1.0, -100_000, 100_000), RawFormat("um", 0.05, -1000, 1000)
         kind = (Nodes.EXPLICIT, Interpolation.LINEAR, Outside.HOLD, Directions.BOTH)
         self.description = TableDescription("table", 10, *kind, 1, places, twentieths, shows_applied=True)
 
@@ -170,7 +170,7 @@ class Stand:
         self.in_force = compensation
 
 
-def proven_by_drive(stand: Any) -> Proof:
+def proven_by_drive(stand: Any) -> TableProof:
     wanted = DirectionalTable(np.array([0.0, 10.0]), np.array([4.0, 4.0]), np.array([5.5, 5.5]))
     return prove_by_drive(stand, wanted, [10.0], ProofMotion(20.0, 2.0, home=True))
 

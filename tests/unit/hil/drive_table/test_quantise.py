@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from drivers.correction_table import Directions, Interpolation, Nodes, Outside, Quantity, TableDescription
+from drivers.correction_table import Directions, Interpolation, Nodes, Outside, RawFormat, TableDescription
 from drivers.errors import CorrectionBoundError, InputError
 from drivers.limits import DriveLimits
 from drivers.scaling import AxisScaling
@@ -36,8 +36,8 @@ class Lead:
 
 
 I16, I32, U32 = (-32768, 32767), (-(2**31), 2**31 - 1), (0, 2**32 - 1)
-COUNTS = Quantity("counts", 1.0, *I32)
-TENTHS = Quantity("um", 0.05, *I16)
+COUNTS = RawFormat("counts", 1.0, *I32)
+TENTHS = RawFormat("um", 0.05, *I16)
 PLAIN = TableDescription(
     "pitch table",
     300,
@@ -48,8 +48,8 @@ PLAIN = TableDescription(
     1,
     COUNTS,
     TENTHS,
-    Quantity("counts", 1.0, *U32),
-    Quantity("um", 0.05, *I16),
+    RawFormat("counts", 1.0, *U32),
+    RawFormat("um", 0.05, *I16),
 )
 
 
@@ -112,13 +112,13 @@ def test_the_drives_own_firmware_makes_our_correction_of_it(description: TableDe
 @pytest.mark.parametrize(
     ("position", "value"),
     [
-        (Quantity("um", 1.0, *I32), Quantity("counts", 1.0, *I16)),
-        (Quantity("mm", 0.1, *I32), Quantity("um", 0.1, *I16)),
-        (Quantity("rev", 0.001, *I32), Quantity("rev", 1e-6, *I16)),
+        (RawFormat("um", 1.0, *I32), RawFormat("counts", 1.0, *I16)),
+        (RawFormat("mm", 0.1, *I32), RawFormat("um", 0.1, *I16)),
+        (RawFormat("rev", 0.001, *I32), RawFormat("rev", 1e-6, *I16)),
     ],
     ids=["um-counts", "mm-um", "rev-rev"],
 )
-def test_every_unit_comes_to_the_same(position: Quantity, value: Quantity) -> None:
+def test_every_unit_comes_to_the_same(position: RawFormat, value: RawFormat) -> None:
     wanted = machine()
     description = replace(PLAIN, position=position, value=value)
     found = drive_table(wanted, description, scaling(), LIMITS)
@@ -145,7 +145,7 @@ def test_one_curve_is_enough_where_the_directions_agree() -> None:
 
 
 def test_the_rounding_error_is_that_of_the_step() -> None:
-    coarse = replace(PLAIN, value=Quantity("um", 0.4, *I16))
+    coarse = replace(PLAIN, value=RawFormat("um", 0.4, *I16))
     found = drive_table(machine(), coarse, scaling(), LIMITS, deviation_um=0.5)
     assert 0.1 < found.rounding_um <= 0.2 + 1e-9
     assert found.rounding_um <= found.deviation_um <= 0.5
@@ -155,18 +155,18 @@ def test_the_rounding_error_is_that_of_the_step() -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"value": Quantity("um", 2.0, *I16)}, "in steps of 2 µm, which alone may be 1 µm off; allow"),
+        ({"value": RawFormat("um", 2.0, *I16)}, "in steps of 2 µm, which alone may be 1 µm off; allow"),
         ({"points": 3}, "at most 3 fit"),
         ({"points": 4, "nodes": Nodes.EQUIDISTANT}, "no equal step with at most 4 points"),
         ({"points": 20, "interpolation": Interpolation.STEP}, "with the .* points that suit it best it is .* µm off"),
         (
-            {"value": Quantity("um", 0.05, -128, 127)},
+            {"value": RawFormat("um", 0.05, -128, 127)},
             r"a value is -\d+.* µm, and the drive holds -6.4 to 6.35 µm there; take",
         ),
-        ({"position": Quantity("counts", 1.0, *I16)}, "a node stands .* µm, and the drive holds .*; shorten the axis"),
-        ({"step": Quantity("counts", 1.0, 0, 100), "nodes": Nodes.EQUIDISTANT}, "the nodes stand apart"),
+        ({"position": RawFormat("counts", 1.0, *I16)}, "a node stands .* µm, and the drive holds .*; shorten the axis"),
+        ({"step": RawFormat("counts", 1.0, 0, 100), "nodes": Nodes.EQUIDISTANT}, "the nodes stand apart"),
         (
-            {"backlash": Quantity("um", 0.05, 0, 10), "directions": Directions.BACKLASH},
+            {"backlash": RawFormat("um", 0.05, 0, 10), "directions": Directions.BACKLASH},
             "the backlash is 12 µm, and the drive holds 0 to 0.5 µm there; scale the drive's table coarser",
         ),
     ],
@@ -290,21 +290,21 @@ def test_by_how_much_rounding_has_moved_values() -> None:
     found = drive_table(level(0.07, 0.11), PLAIN, scaling(), SHORT)
     assert (found.raw.plus, found.raw.minus) == ((1, 1), (2, 2))
     assert (found.rounding_um, found.deviation_um) == pytest.approx((0.02, 0.02))
-    coarse = replace(PLAIN, directions=Directions.BACKLASH, backlash=Quantity("um", 0.4, *I16))
+    coarse = replace(PLAIN, directions=Directions.BACKLASH, backlash=RawFormat("um", 0.4, *I16))
     found = drive_table(level(1.0, 0.5), coarse, scaling(), SHORT)
     assert found.raw.backlash == 1
     assert found.rounding_um == pytest.approx(0.1)
 
 
 def test_values_that_may_be_as_far_off_as_is_allowed_are_refused() -> None:
-    whole = replace(PLAIN, value=Quantity("um", 1.0, *I16))
+    whole = replace(PLAIN, value=RawFormat("um", 1.0, *I16))
     with pytest.raises(InputError, match=r"in steps of 1 µm, which alone may be 0.5 µm off"):
         drive_table(level(1.0, 1.0), whole, scaling(), SHORT)
     assert drive_table(level(1.0, 1.0), whole, scaling(), SHORT, deviation_um=0.51).raw.plus == (1, 1)
 
 
 def test_the_ends_of_what_it_holds_belong_to_it() -> None:
-    narrow = replace(PLAIN, value=Quantity("um", 0.05, -128, 127))
+    narrow = replace(PLAIN, value=RawFormat("um", 0.05, -128, 127))
     found = drive_table(level(6.35, -6.4), narrow, scaling(), SHORT)
     assert (found.raw.plus, found.raw.minus) == ((127, 127), (-128, -128))
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import MeasurementLostError
-from hil.figures.reading import Average, Creep, average, creep, outliers
+from hil.figures.reading import Average, WindowCreep, average, creep, outliers
 
 
 def correlated(rng: np.random.Generator, rho: float, n: int) -> np.ndarray:
@@ -138,12 +138,12 @@ def test_creep_by_hand() -> None:
     assert (seen.change_um, seen.std_um) == pytest.approx((2.4, 1.2727922))
     back = creep(np.array([0.0, 1, 2, 3]), np.array([3.0, 1, 2, 0]) * 1e-3)
     assert back.change_um == pytest.approx(-2.4)
-    for one in (Creep(3.0, 1.0), Creep(-3.0, 1.0)):
+    for one in (WindowCreep(3.0, 1.0), WindowCreep(-3.0, 1.0)):
         assert one.within(1.0)  # 3 = 1 + 2·1
         assert not one.within(0.99)
     assert creep(np.array([0.0, 1, 2]), np.array([0.0, 9, 18])).std_um == np.inf
     assert np.isfinite(creep(np.array([0.0, 1, 2, 3]), np.array([0.0, 9, 18, 2])).std_um)
-    assert creep(np.array([]), np.array([])) == Creep(0.0, np.inf)
+    assert creep(np.array([]), np.array([])) == WindowCreep(0.0, np.inf)
 
 
 def test_a_glitch_is_no_creep() -> None:

@@ -12,7 +12,7 @@ import pytest
 from support.fleet import HEADER, rows
 
 from drivers.errors import InputError
-from hil.fleet.values import Value, of_pass, of_result, of_torque_file
+from hil.fleet.values import FleetValue, of_pass, of_result, of_torque_file
 from hil.records.rows import Records, parse_csv
 
 
@@ -20,7 +20,7 @@ def read(text: str) -> Records:
     return parse_csv(f"{HEADER}\n{text}")
 
 
-def by_name(found: list[Value]) -> dict[str, Value]:
+def by_name(found: list[FleetValue]) -> dict[str, FleetValue]:
     assert len({one.quantity for one in found}) == len(found)
     return {one.quantity: one for one in found}
 

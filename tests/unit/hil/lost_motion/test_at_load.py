@@ -8,7 +8,7 @@ import pytest
 from drivers.errors import InputError
 from hil.correction.rise import DEAD_ZONE, EXPONENTIAL, STRAIGHT_PIECES, TANH, TWO_TANH, Floats, Rise
 from hil.lost_motion.at_load import LengthBounds, StrokePositions, fit_at_load, load_mm
-from hil.lost_motion.estimate import Estimate, determined, estimate, separately_determined, uncertain
+from hil.lost_motion.estimate import ReversalFit, determined, estimate, separately_determined, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, fit, uncertainties
 
 MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 3.0, 24)])
@@ -153,7 +153,7 @@ def contender(rise: Rise, held_out_um: float) -> Contender:
 )
 def test_a_choice_is_said_against_two_tanh_or_the_best_of_the_others(taken: Rise, asked_for: bool, said: str) -> None:
     contenders = (contender(TANH_RISE, 0.3), contender(TWO_RISE, 0.32), contender(EXP_RISE, 0.5))
-    assert Estimate(taken, {}, {}, contenders, (), 0.0, asked_for).choice == said
+    assert ReversalFit(taken, {}, {}, contenders, (), 0.0, asked_for).choice == said
 
 
 def test_two_tanh_unless_another_is_better_by_more_than_the_noise_of_a_reading() -> None:

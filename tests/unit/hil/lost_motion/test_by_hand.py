@@ -24,7 +24,7 @@ from hil.lost_motion.at_load import (
     standard_uncertainties,
 )
 from hil.lost_motion.circle.figures import Circle, Trace, ring_of, trace_of
-from hil.lost_motion.estimate import Estimate, Uncertain, determined, separately_determined, uncertain
+from hil.lost_motion.estimate import ReversalFit, Uncertain, determined, separately_determined, uncertain
 from hil.lost_motion.fit import Contender, Fitted, MeasuredReversal, compete, fit, length_bounds
 from hil.lost_motion.published import beside_published
 
@@ -240,9 +240,9 @@ def test_single_amounts_stand_for_themselves_from_two_of_their_uncertainties_on(
     assert set(determined(at_a_bound)) == {"amount_um"}  # a length at a bound has an uncertainty of 0: of none
 
 
-def made_estimate(late_um: float) -> Estimate:
+def made_estimate(late_um: float) -> ReversalFit:
     parameters = {"amount_um": Uncertain(10.0, 0.1), "rise_1_mm": Uncertain(0.5, 0.2)}
-    return Estimate(Rise(TANH, (10.0,), (0.5,)), parameters, parameters, (), (), late_um)
+    return ReversalFit(Rise(TANH, (10.0,), (0.5,)), parameters, parameters, (), (), late_um)
 
 
 def test_strokes_were_too_short_where_more_than_3_percent_came_late() -> None:
@@ -438,10 +438,10 @@ def test_a_ring_without_any_trace() -> None:
     assert ring_of([]) == pytest.approx(0.5)
 
 
-def chosen(rise: Rise, *others: Contender, asked_for: bool = False) -> Estimate:
+def chosen(rise: Rise, *others: Contender, asked_for: bool = False) -> ReversalFit:
     parameters = {"amount_um": Uncertain(10.0, 0.1)}
     contenders = (Contender(Fitted(rise), 0.2, 0.2), *others)
-    return Estimate(rise, parameters, parameters, contenders, (), 0.0, asked_for)
+    return ReversalFit(rise, parameters, parameters, contenders, (), 0.0, asked_for)
 
 
 def test_both_forms_agree_after_full_strokes_and_part_after_partial_ones() -> None:
@@ -468,6 +468,6 @@ def test_by_how_much_a_shape_wins_is_told() -> None:
     assert chosen(pieces, other, two).choice == told
     exact = Contender(Fitted(pieces), 0.0, 0.0)
     told = "straight pieces taken: 0.000 µm RMS on strokes held out, two tanh 0.300"
-    assert Estimate(pieces, {}, {}, (exact, two), (), 0.0).choice == told  # no share of nothing
-    asked = Estimate(two.fitted.rise, {}, {}, (Contender(Fitted(pieces), 0.2, 0.2), other, two), (), 0.0, True)
+    assert ReversalFit(pieces, {}, {}, (exact, two), (), 0.0).choice == told  # no share of nothing
+    asked = ReversalFit(two.fitted.rise, {}, {}, (Contender(Fitted(pieces), 0.2, 0.2), other, two), (), 0.0, True)
     assert asked.choice == "two tanh asked for: 0.300 µm RMS on strokes held out, straight pieces 0.200 (-33 %)"

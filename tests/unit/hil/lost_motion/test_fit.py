@@ -20,7 +20,7 @@ from hil.correction.rise import (
     TWO_TANH,
     Floats,
     Rise,
-    Shape,
+    RiseShape,
 )
 from hil.lost_motion.fit import Contender, MeasuredReversal, compete, fit
 
@@ -163,7 +163,7 @@ def arm_reversal(name: str, rows: str) -> MeasuredReversal:
 def test_a_real_arm(
     log: tuple[str, str],
     count: int,
-    winner: Shape,
+    winner: RiseShape,
     held_out_mdeg: float,
     record_property: Callable[[str, object], None],
 ) -> None:

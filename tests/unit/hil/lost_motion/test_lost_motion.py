@@ -22,12 +22,12 @@ from hil.correction.compensation import Compensation
 from hil.correction.rise import EXPONENTIAL, TWO_TANH, Rise
 from hil.correction.tables import DirectionalTable, TableMode, TableSet
 from hil.effects import ALL, term_from_json
-from hil.lost_motion.estimate import Estimate, Uncertain
+from hil.lost_motion.estimate import ReversalFit, Uncertain
 from hil.lost_motion.fit import Contender, Fitted
 from hil.lost_motion.measured import ReversalResult
 from hil.lost_motion.procedure import (
+    LostMotionProof,
     LostMotionResult,
-    Proof,
     confirmed,
     left_by_um,
     proof_steps,
@@ -47,7 +47,7 @@ HOW = LostMotionConfig(
     at_mm=100.0, stroke_mm=4.0, places=12, finest_um=2.0, runs=2, proof_moves=30, shortest_rise_um=0.25
 )
 TRUTH = Rise(TWO_TANH, (6.0, 2.0), (0.01, 0.2, 0.05))
-FOUND = Estimate(TRUTH, {"amount_um": Uncertain(8.0, 0.1)}, {}, (), (), 0.0)
+FOUND = ReversalFit(TRUTH, {"amount_um": Uncertain(8.0, 0.1)}, {}, (), (), 0.0)
 
 
 def place_um(x: Floats | float) -> Floats:
@@ -122,7 +122,7 @@ def test_another_shape_stays_only_where_it_would_have_left_less_of_the_moves_bef
     other = Rise(EXPONENTIAL, (8.0,), (0.08,))
     contenders = tuple(Contender(Fitted(rise), 0.1, 0.1) for rise in (other, TRUTH))
     strokes = driven(stroke_steps(HOW), truth=truth)
-    found = Estimate(other, {}, {}, contenders, tuple(reversals_of(strokes, HOW)), 0.0)
+    found = ReversalFit(other, {}, {}, contenders, tuple(reversals_of(strokes, HOW)), 0.0)
     stretch = stretch_of(strokes, HOW, 8.0)
     moves = driven(proof_steps(HOW, 1), truth=truth)
     assert left_by_um(truth, moves, stretch) == pytest.approx(0.0, abs=1e-4)
@@ -160,29 +160,29 @@ def test_beside_tables_nothing_is_counted_twice() -> None:
 def test_a_proof_needs_little_left_little_too_much_and_less_than_before() -> None:
     records = driven(proof_steps(HOW, 1))
     small, much = np.full(len(records), 0.3), np.full(len(records), 3.0)
-    assert Proof(records, records, much, small, 8.0, 0.01).good
+    assert LostMotionProof(records, records, much, small, 8.0, 0.01).good
     too_far = np.where(records.direction > 0, 0.5, -0.5)
-    assert not Proof(records, records, much, too_far, 8.0, 0.01).good
-    assert Proof(records, records, much, -0.9 * too_far, 8.0, 0.01).over_um == 0.0
-    assert not Proof(records, records, much, -0.9 * too_far, 8.0, 0.01).good  # never too far, and still off
-    assert Proof(records, records, much, too_far, 8.0, 0.2).good  # no worse than noise
+    assert not LostMotionProof(records, records, much, too_far, 8.0, 0.01).good
+    assert LostMotionProof(records, records, much, -0.9 * too_far, 8.0, 0.01).over_um == 0.0
+    assert not LostMotionProof(records, records, much, -0.9 * too_far, 8.0, 0.01).good  # never too far, and still off
+    assert LostMotionProof(records, records, much, too_far, 8.0, 0.2).good  # no worse than noise
 
 
 def test_the_gain_of_a_proof_by_hand() -> None:
     """Squares fall by 3, 0, 3 and 0 µm²: 1.5 in the mean, with s = √3 and √3/2 of the mean; the RMS add up to √2.5 + 1."""
     records = driven(proof_steps(HOW, 1))
     before, after = np.array([2.0, -1.0, -2.0, 1.0]), np.array([1.0, 1.0, -1.0, -1.0])
-    gain = Proof(records, records, before, after, 8.0, 0.01).improvement_um
+    gain = LostMotionProof(records, records, before, after, 8.0, 0.01).improvement_um
     assert gain.value == pytest.approx(math.sqrt(2.5) - 1.0)
     assert gain.std == pytest.approx(math.sqrt(3.0) / 2.0 / (math.sqrt(2.5) + 1.0))
-    assert Proof(records, records, 0.0 * before, 0.0 * after, 8.0, 0.01).improvement_um == Uncertain(0.0, 0.0)
+    assert LostMotionProof(records, records, 0.0 * before, 0.0 * after, 8.0, 0.01).improvement_um == Uncertain(0.0, 0.0)
 
 
 def test_what_is_no_better_than_before_is_not_stored_whatever_is_left() -> None:
     """The case that was stored: 0.25 µm before and 0.26 after, of 53 µm."""
     records = driven(proof_steps(HOW, 1))
     alike = np.random.default_rng(4).normal(0.0, 0.25, (2, len(records)))
-    same = Proof(records, records, alike[0], 1.04 * alike[1], 53.0, 0.01)
+    same = LostMotionProof(records, records, alike[0], 1.04 * alike[1], 53.0, 0.01)
     assert not same.improves
     assert not same.good
     assert same.needless  # 0.25 of 53 µm was good already
@@ -197,7 +197,7 @@ def test_what_is_no_better_than_before_is_not_stored_whatever_is_left() -> None:
         r" what is in force stays, nothing has to be done",
         said,
     )
-    bad = Proof(records, records, 10.0 * alike[0], 10.0 * alike[1], 53.0, 0.01)
+    bad = LostMotionProof(records, records, 10.0 * alike[0], 10.0 * alike[1], 53.0, 0.01)
     assert not bad.needless  # no better, and nothing was good before
     (said,) = verdict(replace(result, proof=bad))
     assert said.endswith("look for what changes at the axis, then measure again with more runs and proof_moves")
@@ -210,8 +210,8 @@ def test_beside_fitted_effects_it_says_what_to_do_first() -> None:
     beside = Compensation(TableSet.zero(np.array([0.0, 100.0])), (term,))
     records = driven(proof_steps(HOW, 1))
     noise = np.random.default_rng(4).normal(0.0, 1.0, len(records))
-    better = Proof(records, records, 4.0 * noise, 3.0 * noise, 10.0, 0.01)
-    same = Proof(records, records, 4.0 * noise, 4.0 * noise, 10.0, 0.01)
+    better = LostMotionProof(records, records, 4.0 * noise, 3.0 * noise, 10.0, 0.01)
+    same = LostMotionProof(records, records, 4.0 * noise, 4.0 * noise, 10.0, 0.01)
     assert (better.improves, better.good, same.improves) == (True, False, False)
     for proof in (better, same):
         (said,) = verdict(LostMotionResult(records, FOUND, None, beside, proof))  # type: ignore[arg-type]
@@ -242,7 +242,7 @@ LENGTHS = {
 
 def told(first: Uncertain, second: Uncertain) -> dict[str, str]:
     parameters = {"amount_um": Uncertain(53.09, 0.0032), "amount_1_um": first, "amount_2_um": second, **LENGTHS}
-    found = Estimate(RISE, parameters, parameters, (), (), 0.0)
+    found = ReversalFit(RISE, parameters, parameters, (), (), 0.0)
     proof = SimpleNamespace(before_um=np.ones(2), after_um=np.zeros(2), over_um=0.1, improvement_um=Uncertain(1.0, 0.0))
     result = SimpleNamespace(estimate=found, stretch=SimpleNamespace(noise_um=0.01), proof=proof)
     axis, how = cast(AxisConfig, None), cast(LostMotionConfig, None)

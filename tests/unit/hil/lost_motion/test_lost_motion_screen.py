@@ -10,7 +10,7 @@ import pytest
 from hil.lost_motion.circle.figures import Circle, Trace
 from hil.lost_motion.circle.job import AFTER, BEFORE, Axes, DrivenCircle
 from hil.lost_motion.circle.procedure import CircleRun
-from hil.lost_motion.estimate import Estimate, estimate
+from hil.lost_motion.estimate import ReversalFit, estimate
 from hil.lost_motion.fit import MeasuredReversal
 from hil.lost_motion.page_data import circle_curves, rise_curves
 
@@ -19,13 +19,13 @@ MOTOR_MM = np.concatenate([[0.0], np.geomspace(0.002, 2.0, 14)])
 
 
 @pytest.fixture(scope="module")
-def found() -> Estimate:
+def found() -> ReversalFit:
     """A load that lags by a single exponential over the motor's travel."""
     lag_um = AMOUNT_UM * -np.expm1(-MOTOR_MM / 0.05)
     return estimate([MeasuredReversal(way, MOTOR_MM, -way * lag_um) for way in (1, -1, 1)], 0.0002)
 
 
-def test_the_curve_in_force_goes_through_the_points(found: Estimate) -> None:
+def test_the_curve_in_force_goes_through_the_points(found: ReversalFit) -> None:
     drawn = rise_curves(found)
     assert [one.in_force for one in drawn.fitted].count(True) == 1
     assert {one.name for one in drawn.fitted} == {"two tanh", "tanh", "exponential", "dead zone", "straight pieces"}
@@ -38,7 +38,7 @@ def test_the_curve_in_force_goes_through_the_points(found: Estimate) -> None:
     assert float(curve[-1, 1]) == pytest.approx(AMOUNT_UM, rel=0.02)
 
 
-def test_the_beginning_is_in_micrometres(found: Estimate) -> None:
+def test_the_beginning_is_in_micrometres(found: ReversalFit) -> None:
     drawn = rise_curves(found, beginning=True)
     ends = [x for points in (*drawn.measured.values(), *(one.points for one in drawn.fitted)) for x, _ in points]
     assert max(ends) == pytest.approx(3.0 * AMOUNT_UM, rel=0.02)

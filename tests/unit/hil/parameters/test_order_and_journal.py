@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from drivers.errors import InputError
 from drivers.raw_parameters import DriveIdentity
-from hil.parameters.journal import Journal, Noted, Phase
+from hil.parameters.journal import DownloadPhase, Journal, Noted
 from hil.parameters.transaction import in_order, uncrossed
 
 RANKS = {"unit": 0, "limit": 1}
@@ -71,9 +71,9 @@ def test_a_journal_says_what_was_to_be_done_and_how_far_it_came(tmp_path: Path) 
     assert found is not None
     assert (found.axis, found.parameters, found.identity, found.store) == ("X", NOTED, IDENTITY, True)
     assert not found.may_have_stored
-    journal.note(found, Phase.STORING)
+    journal.note(found, DownloadPhase.STORING)
     assert Journal(tmp_path).last().may_have_stored  # type: ignore[union-attr]
-    journal.note(found, Phase.END, ending="WRITTEN")
+    journal.note(found, DownloadPhase.END, ending="WRITTEN")
     assert journal.unfinished() is None
     last = journal.last()
     assert last is not None
@@ -88,7 +88,7 @@ def test_each_step_is_on_the_disk_before_the_next_and_no_file_stays_open(
     synced: list[tuple[int, int]] = []
     monkeypatch.setattr(os, "fsync", lambda handle: synced.append((handle, os.fstat(handle).st_ino)))
     journal = _begun(tmp_path)
-    journal.note(journal.unfinished(), Phase.PROVEN)  # type: ignore[arg-type]
+    journal.note(journal.unfinished(), DownloadPhase.PROVEN)  # type: ignore[arg-type]
     file, folder = (tmp_path / "download-0001.jsonl").stat().st_ino, tmp_path.stat().st_ino
     assert [inode for _, inode in synced] == [file, folder, file]
     for handle, _ in synced:
@@ -100,13 +100,13 @@ def test_a_line_torn_anywhere_does_not_count_and_the_next_one_stands_alone(tmp_p
     journal = _begun(tmp_path)
     path = tmp_path / "download-0001.jsonl"
     first = path.read_bytes()
-    journal.note(journal.unfinished(), Phase.PROVEN)  # type: ignore[arg-type]
+    journal.note(journal.unfinished(), DownloadPhase.PROVEN)  # type: ignore[arg-type]
     whole = path.read_bytes()
     for cut in range(len(first), len(whole), 5):
         path.write_bytes(whole[:cut])
-        assert journal.unfinished().phases == (Phase.BEGIN,)  # type: ignore[union-attr]
-        journal.note(journal.unfinished(), Phase.STORING)  # type: ignore[arg-type]
-        assert journal.unfinished().phases == (Phase.BEGIN, Phase.STORING)  # type: ignore[union-attr]
+        assert journal.unfinished().phases == (DownloadPhase.BEGIN,)  # type: ignore[union-attr]
+        journal.note(journal.unfinished(), DownloadPhase.STORING)  # type: ignore[arg-type]
+        assert journal.unfinished().phases == (DownloadPhase.BEGIN, DownloadPhase.STORING)  # type: ignore[union-attr]
     for cut in range(0, len(first), 9):
         path.write_bytes(first[:cut])
         assert journal.unfinished() is None  # nothing was written to the drive then

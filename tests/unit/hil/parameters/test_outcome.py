@@ -12,7 +12,7 @@ import pytest
 from hil.parameters.compare import Compared, Comparison, Side
 from hil.parameters.outcome import MOST_ROWS, BackedUp, Outcome, ParameterRow, keep_outcome, kept_outcome, outcome_of
 from hil.parameters.preflight import Objection
-from hil.parameters.report import Ending, JobReport, Row, Verdict
+from hil.parameters.report import Ending, JobReport, ParameterVerdict, Row
 
 WHOLE = Objection("", "", "the drive is enabled")
 SINGLE = Objection("6065h:00", "Following error window", "is above 100")
@@ -53,11 +53,11 @@ def test_at_most_so_many_rows_are_shown_and_all_are_counted() -> None:
     assert (len(found.rows), found.differing) == (2000, 2005)
 
 
-def row(address: str, verdict: Verdict) -> Row:
+def row(address: str, verdict: ParameterVerdict) -> Row:
     return Row(address, "gain", "1/s", 10, 20, verdict)
 
 
-ROWS = (row("a", Verdict.SAME), row("b", Verdict.SAME), row("c", Verdict.WRITTEN))
+ROWS = (row("a", ParameterVerdict.SAME), row("b", ParameterVerdict.SAME), row("c", ParameterVerdict.WRITTEN))
 CHANGED = (ParameterRow("c", "gain", "10", "20", "1/s", "WRITTEN"),)
 
 

@@ -17,10 +17,10 @@ from drivers.raw_parameters import DriveIdentity, RawParameter, WireTime
 from hil.correction.store import BoundTables
 from hil.parameters.compare import Side, compare
 from hil.parameters.download import download
-from hil.parameters.journal import Download, Journal, Noted, Phase
+from hil.parameters.journal import Download, DownloadPhase, Journal, Noted
 from hil.parameters.preflight import match_set, objection_to_state, objections_to_identity, predict, seconds_together
 from hil.parameters.recover import recover, set_after, set_before
-from hil.parameters.report import Ending, JobReport, Row, Verdict, shown, slow
+from hil.parameters.report import Ending, JobReport, ParameterVerdict, Row, shown, slow
 from hil.parameters.restart import load_defaults, restart_drive
 from hil.parameters.set_file import ParameterSet, SetEntry
 from hil.parameters.snapshot import back_up
@@ -261,8 +261,8 @@ def test_a_download_looks_writes_proves_and_stores(tmp_path: Path) -> None:
     )
     assert phases(tmp_path) == ["BEGIN", "PROVEN", "STORING", "STORED", "END"]
     assert [(r.old, r.new, r.verdict, r.unit) for r in report.rows] == [
-        (1, 5, Verdict.WRITTEN, "rpm"),
-        (2, 6, Verdict.WRITTEN, "rpm"),
+        (1, 5, ParameterVerdict.WRITTEN, "rpm"),
+        (2, 6, ParameterVerdict.WRITTEN, "rpm"),
     ]
     assert (report.rows[0].read_s, report.rows[0].write_s) == pytest.approx((0.001, 0.001))
     assert report.seconds == pytest.approx(0.006)
@@ -277,7 +277,7 @@ def test_what_is_the_same_is_not_written_and_stored_only_when_asked(tmp_path: Pa
     drive = PaperDrive(a=1, b=2)
     report = load(drive, tmp_path, a=1, b=2)
     assert (report.ending, report.stored, phases(tmp_path)) == (Ending.UNCHANGED, False, [])
-    assert {row.verdict for row in report.rows} == {Verdict.SAME}
+    assert {row.verdict for row in report.rows} == {ParameterVerdict.SAME}
     report = load(drive, tmp_path, store=True, a=1, b=2)
     assert (report.ending, report.stored) == (Ending.UNCHANGED, True)
     assert drive.log == ["r a", "r b"] * 2 + ["store"]
@@ -350,8 +350,8 @@ def test_stored_tables_object_to_another_backlash_and_other_units_are_told(tmp_p
 class FullDisk(Journal):
     """Cannot be written any more when a download goes back."""
 
-    def note(self, download: Download, phase: Phase, **facts: object) -> None:
-        if phase is Phase.GOING_BACK:
+    def note(self, download: Download, phase: DownloadPhase, **facts: object) -> None:
+        if phase is DownloadPhase.GOING_BACK:
             raise InputError("cannot be written: the disk is full")
         super().note(download, phase, **facts)
 
@@ -379,7 +379,7 @@ def test_a_failing_drive_has_the_unchanged_ones_stay_unchanged(tmp_path: Path) -
     bad.on_write = never
     reports = download([Target(d, the_set(a=5), Journal(tmp_path / d.name)) for d in (still, bad)])
     assert [r.ending for r in reports] == [Ending.UNCHANGED, Ending.PUT_BACK]
-    assert reports[1].rows[0].verdict is Verdict.PUT_BACK
+    assert reports[1].rows[0].verdict is ParameterVerdict.PUT_BACK
     assert phases(tmp_path / "Y") == ["BEGIN", "GOING_BACK", "END"]
 
 
@@ -396,7 +396,7 @@ def test_what_cannot_be_put_back_stays_unfinished_and_has_to_be_finished_first(t
     assert report.ending is Ending.UNFINISHED
     assert any("it could not be put back" in note for note in report.notes)
     assert report.journal.endswith("download-0001.jsonl")
-    assert {row.verdict for row in report.rows} == {Verdict.UNKNOWN}
+    assert {row.verdict for row in report.rows} == {ParameterVerdict.UNKNOWN}
     with pytest.raises(InputError, match="is not finished"):
         load(drive, tmp_path, a=5)
 
@@ -515,7 +515,7 @@ def test_a_person_has_five_minutes_for_either_way_of_the_switch(off_s: float, on
 
 
 # -- going on ----------------------------------------------------------------------------------------------------------
-def begun(folder: Path, *notes: Phase, store: bool = True) -> Journal:
+def begun(folder: Path, *notes: DownloadPhase, store: bool = True) -> Journal:
     journal = Journal(folder)
     noted = (Noted("a", "", b"\1\0", b"\5\0", ("b",)), Noted("b", "", b"\2\0", b"\6\0"))
     download = journal.begin("X", "new", "", IDENTITY, noted, store=store)
@@ -529,15 +529,27 @@ def begun(folder: Path, *notes: Phase, store: bool = True) -> Journal:
     [
         ((), True, "on", (1, 2), True),
         ((), False, "on", (1, 2), False),
-        ((Phase.PROVEN, Phase.STORING), True, "on", (5, 6), True),
-        ((Phase.PROVEN, Phase.STORING, Phase.STORED), True, "on", (5, 6), False),
-        ((Phase.PROVEN, Phase.STORING, Phase.STORED), True, "on", (5, 2), True),  # it lost something since
+        ((DownloadPhase.PROVEN, DownloadPhase.STORING), True, "on", (5, 6), True),
+        ((DownloadPhase.PROVEN, DownloadPhase.STORING, DownloadPhase.STORED), True, "on", (5, 6), False),
+        (
+            (DownloadPhase.PROVEN, DownloadPhase.STORING, DownloadPhase.STORED),
+            True,
+            "on",
+            (5, 2),
+            True,
+        ),  # it lost something since
         ((), True, "back", (5, 2), False),
-        ((Phase.PROVEN, Phase.STORING), True, "back", (5, 6), True),  # it may have kept what is now undone
+        (
+            (DownloadPhase.PROVEN, DownloadPhase.STORING),
+            True,
+            "back",
+            (5, 6),
+            True,
+        ),  # it may have kept what is now undone
     ],
 )
 def test_going_on_in_either_direction(
-    tmp_path: Path, *, notes: tuple[Phase, ...], store: bool, way: str, held: tuple[int, int], stores: bool
+    tmp_path: Path, *, notes: tuple[DownloadPhase, ...], store: bool, way: str, held: tuple[int, int], stores: bool
 ) -> None:
     forward = way == "on"
     journal = begun(tmp_path, *notes, store=store)
@@ -553,9 +565,11 @@ def test_going_on_in_either_direction(
     writes = [line for line in drive.log if line.startswith("w")]
     if len(writes) == 2:
         assert [line[2] for line in writes] == ["b", "a"]  # a is to come after b
-    going = [Phase.PROVEN] if forward else [Phase.GOING_BACK]
-    storing = [Phase.STORING, Phase.STORED] if stores else []
-    assert phases(tmp_path) == [phase.name for phase in (Phase.BEGIN, *notes, *going, *storing, Phase.END)]
+    going = [DownloadPhase.PROVEN] if forward else [DownloadPhase.GOING_BACK]
+    storing = [DownloadPhase.STORING, DownloadPhase.STORED] if stores else []
+    assert phases(tmp_path) == [
+        phase.name for phase in (DownloadPhase.BEGIN, *notes, *going, *storing, DownloadPhase.END)
+    ]
     assert recover([(drive, journal)], forward=forward) == []
 
 
@@ -588,7 +602,7 @@ def test_both_sides_of_a_download_as_sets(tmp_path: Path) -> None:
 
 
 def test_the_last_change_is_not_one_that_only_kept(tmp_path: Path) -> None:
-    journal = begun(tmp_path, Phase.END)
+    journal = begun(tmp_path, DownloadPhase.END)
     kept = journal.begin("X", "kept", "", IDENTITY, (Noted("a", "", b"\5\0", b"\5\0"),), store=True)
     assert not kept.changes
     assert kept.path.name == "download-0002.jsonl"
@@ -646,7 +660,7 @@ def test_what_a_download_costs() -> None:
 
 
 def row(address: str, read_s: float | None, write_s: float | None = None) -> Row:
-    return Row(address, "", "", 1, 2, Verdict.WRITTEN, read_s, write_s)
+    return Row(address, "", "", 1, 2, ParameterVerdict.WRITTEN, read_s, write_s)
 
 
 def test_which_answers_are_slow() -> None:

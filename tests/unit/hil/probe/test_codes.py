@@ -11,7 +11,7 @@ from support import probe_files
 from support.probe_files import connected_probe
 
 from drivers.errors import InputError, MotionTimeoutError
-from hil.probe.codes import CodeError, HandShake, Phase, number_shown
+from hil.probe.codes import CodeError, HandShake, HandshakePhase, number_shown
 from hil.probe.machine_file import CodesConfig, ProbeMachineConfig, load_probe_machine
 from hil.probe.procedure import Correction, HandledCode, serve_codes
 from hil.probe.runout import CorrectionCode, MeasurementRefusedError, RunOut
@@ -73,14 +73,14 @@ def working() -> HandShake:
 
 def test_code_mfin_strobe_off_mfin_off() -> None:
     shake = working()
-    assert (shake.phase, shake.mfin) == (Phase.WORKING, False)
+    assert (shake.phase, shake.mfin) == (HandshakePhase.WORKING, False)
     assert shake.saw(STROBE | M91, 9.0) is None
     shake.done(10.0)
     assert shake.mfin
     assert shake.saw(STROBE | M91, 10.1) is None
     assert shake.mfin
     assert shake.saw(0, 10.2) is None
-    assert (shake.phase, shake.mfin) == (Phase.WAITING, False)
+    assert (shake.phase, shake.mfin) == (HandshakePhase.WAITING, False)
     shake.saw(STROBE, 11.0)
     assert shake.saw(STROBE, 11.1) == 90
 
@@ -104,7 +104,7 @@ def test_a_code_of_somebody_else_is_left_to_him() -> None:
     for time_s in (1.0, 1.1, 100.0):
         assert shake.saw(STROBE | 1 << 7, time_s) is None  # M94
     assert shake.saw(STROBE | M91, 101.0) is None  # without a strobe of its own
-    assert (shake.phase, shake.mfin) == (Phase.FOREIGN, False)
+    assert (shake.phase, shake.mfin) == (HandshakePhase.FOREIGN, False)
     shake.saw(0, 102.0)
     shake.saw(STROBE | M91, 103.0)
     assert shake.saw(STROBE | M91, 103.1) == 91

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from hil.app.panel.guard import ACCESS, LOGIN, LONGEST_BODY, Form, Guard
+from hil.app.panel.guard import ACCESS, LOGIN, LONGEST_BODY, Guard, TokenForm
 from hil.ui.screen.browsers import COOKIE
 
 Answer = tuple[int, dict[str, str], bytes]
 TOKEN = "an-access-token"
-FORM = Form("<form>", "not <it>", "in {seconds} s")
+FORM = TokenForm("<form>", "not <it>", "in {seconds} s")
 OURS = "https://127.0.0.1:8080"  # where there is a token there is TLS
 
 

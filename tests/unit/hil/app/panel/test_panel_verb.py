@@ -12,7 +12,7 @@ import uvicorn
 from support.bench_axis import lay_out
 
 from hil.app.main import main
-from hil.app.panel.server import Access, Server
+from hil.app.panel.server import Server, ServerAccess
 
 
 @pytest.mark.parametrize(
@@ -61,7 +61,7 @@ def test_a_token_that_others_can_read_or_guess_is_refused(
 def test_another_name_of_loopback_asks_for_the_token(
     names: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    served: list[Access] = []
+    served: list[ServerAccess] = []
     monkeypatch.setattr("hil.app.panel.server.serve", lambda _desks, access, *_: served.append(access))
     path = tmp_path / "token"
     named = [word for name in names for word in ("--name", name)]

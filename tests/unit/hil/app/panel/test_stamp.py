@@ -15,7 +15,7 @@ from support.screen import Screen, inside
 from hil.axis.axis_file import AxisConfig, load_axis
 from hil.calibration import page
 from hil.desk.desk import Desk
-from hil.desk.event_log import Kind
+from hil.desk.event_log import LogKind
 from hil.records.rows import to_csv
 from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import Button
@@ -139,10 +139,10 @@ def test_it_says_when_from_where_and_what_is_in_force(tmp_path: Path, monkeypatc
     axis.tables_path.write_bytes(b"sealed")
     written = datetime(2026, 4, 10, 12, 0, tzinfo=UTC)
     os.utime(axis.tables_path, (written.timestamp(), written.timestamp()))
-    desk.events.add(Kind.JOB, "done", who="Browser 7", job="verify")
+    desk.events.add(LogKind.JOB, "done", who="Browser 7", job="verify")
     of = written.astimezone().strftime("%Y-%m-%d %H:%M")
     assert seen(desk)["stamped"] == f"verified {date} from Browser 7 · Tables of {of} in force"
-    desk.events.add(Kind.JOB, "done", who="Browser 8", job="calibrate")
+    desk.events.add(LogKind.JOB, "done", who="Browser 8", job="calibrate")
     assert "Browser 8" not in seen(Desk(axis))["stamped"]  # also after a restart, by the log on disk
 
 

@@ -13,17 +13,17 @@ from support.docs import PAGES
 from hil.diagnosis.campaign import prepare
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Fit, Noise, Part, Profile, log_bayes, score
-from hil.diagnosis.model.rows import EVEN, LEFT_OUT, ODD, OFFSET, Memory, Rows
+from hil.diagnosis.model.rows import EVEN, LEFT_OUT, ODD, OFFSET, ModelRows, NoiseMemory
 from hil.effects import ALL
 
 CAMPAIGN = prepare(campaign(wavy, runs=4, targets=8))
-ROWS = Rows(CAMPAIGN)
+ROWS = ModelRows(CAMPAIGN)
 N = ROWS.n
 RANDOM = np.random.default_rng(3)
 NOISES = [
-    Noise(Memory(0.0, 0.0), np.array([2.0, 1.0, -2.0])),
-    Noise(Memory(0.7, 0.8), np.array([1.0, 3.0, -1.0])),
-    Noise(Memory(1.1, 0.6), np.array([-2.0, 0.5, -0.5])),
+    Noise(NoiseMemory(0.0, 0.0), np.array([2.0, 1.0, -2.0])),
+    Noise(NoiseMemory(0.7, 0.8), np.array([1.0, 3.0, -1.0])),
+    Noise(NoiseMemory(1.1, 0.6), np.array([-2.0, 0.5, -0.5])),
 ]
 
 
@@ -116,7 +116,7 @@ def test_the_factor_of_one_column_by_hand() -> None:
 
 
 def test_an_effect_has_the_mean_of_the_evidence_over_its_grid_with_the_prior_of_its_parameters() -> None:
-    rows = Rows(prepare(campaign(lambda c: wavy(c) - np.exp(-c["time_s"] / 30.0), runs=4, targets=8)))
+    rows = ModelRows(prepare(campaign(lambda c: wavy(c) - np.exp(-c["time_s"] / 30.0), runs=4, targets=8)))
     fit = Fit(rows, [], NOISES[0])
     (drift,) = (effect for effect in ALL if effect.id == "thermal_drift")
     by_form = {one.candidate.form.name: one for one in Catalogue(rows, [drift]).ranked([fit])}
@@ -135,11 +135,11 @@ def test_the_best_noise_is_found_again_from_rows_that_have_it() -> None:
     found = []
     for seed in range(12):
         rng = np.random.default_rng(seed)
-        memory = Memory(0.7, 0.8)
+        memory = NoiseMemory(0.7, 0.8)
         apart = np.abs(np.subtract.outer(np.arange(N), np.arange(N))).astype(float)
         same = np.equal.outer(CAMPAIGN.run, CAMPAIGN.run)
         root = np.linalg.cholesky(np.eye(N) + memory.ar**2 * same * memory.rho**apart)
-        rows = Rows(replace(CAMPAIGN, error_um=2.0 * root @ rng.normal(size=N) + 3.0 * CAMPAIGN.d))
+        rows = ModelRows(replace(CAMPAIGN, error_um=2.0 * root @ rng.normal(size=N) + 3.0 * CAMPAIGN.d))
         best = score(rows, [])[0]
         found.append(Fit(rows, [], best.noise).sigma * math.hypot(1.0, best.noise.memory.ar))
     assert np.mean(found) == pytest.approx(2.0 * math.hypot(1.0, 0.7), rel=0.15)

@@ -12,7 +12,7 @@ from hil.diagnosis.campaign import AllRows
 from hil.diagnosis.model.candidates import Catalogue
 from hil.diagnosis.model.evidence import Candidate, Part
 from hil.diagnosis.model.policy import USUAL
-from hil.diagnosis.model.rows import Rows
+from hil.diagnosis.model.rows import ModelRows
 from hil.diagnosis.model.search import Search
 from hil.effects import ALL, Effect
 
@@ -27,7 +27,7 @@ def warm(c: dict[str, Array], rng: np.random.Generator) -> dict[str, Array]:
 
 @functools.cache
 def search() -> Search:
-    rows = Rows(AllRows.of(campaign(errors, sensors=warm, seed=5), 0).searched)
+    rows = ModelRows(AllRows.of(campaign(errors, sensors=warm, seed=5), 0).searched)
     return Search(rows, Catalogue(rows, ALL))
 
 

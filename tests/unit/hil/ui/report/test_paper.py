@@ -21,7 +21,7 @@ from hil.correction.tables import Band
 from hil.diagnosis.report.diagnosis import section
 from hil.figures.uncertainty import UncertaintyInputs
 from hil.records.rows import Records
-from hil.ui.report.blocks import Bullets, DataTable, Drawing, Facts, Finding, Heading, Table, said
+from hil.ui.report.blocks import Bullets, DataTable, Drawing, Facts, Framed, Heading, ReportTable, said
 from hil.ui.report.data import NamedCampaign, ReportData, TableInForce
 from hil.ui.report.document import render_html
 from hil.ui.report.pdf import on_paper, render_pdf, write
@@ -192,9 +192,9 @@ def test_words_too_long_for_a_line_are_cut_and_lose_no_letter() -> None:
         Heading(long, 3),
         Bullets((long,)),
         Facts({"short": long}),
-        Table(("name", "hash"), (("a", long),), "hash"),
-        Table(("name", long, "b"), ((long, "1.0", long),), "meaning"),
-        Finding((said(long),)),
+        ReportTable(("name", "hash"), (("a", long),), "hash"),
+        ReportTable(("name", long, "b"), ((long, "1.0", long),), "meaning"),
+        Framed((said(long),)),
     ]
     found = read(write(blocks, "title"))
     assert sum(sheet.text.count("j") for sheet in found) >= 11 * 25  # a head is there again on every sheet of its table
@@ -210,7 +210,7 @@ def data_table(columns: int, rows: int, **more: bool) -> DataTable:
 @pytest.mark.outside  # thousands of rows on paper
 def test_a_long_table_has_its_head_on_every_sheet_and_every_row_once() -> None:
     rows = [(f"row{n};", str(n)) for n in range(220)]
-    found = read(write([Table(("name", "figure"), tuple(rows), "numbers small")], "title"))
+    found = read(write([ReportTable(("name", "figure"), tuple(rows), "numbers small")], "title"))
     assert len(found) >= 3
     assert all(sheet.words.count("figure") == 1 for sheet in found)
     assert [int(n) for sheet in found for n in re.findall(r"row(\d+);", sheet.text)] == list(range(220))
@@ -227,9 +227,9 @@ def test_a_table_too_wide_goes_on_below_with_the_number_of_its_rows() -> None:
 
 
 def test_folded_data_stay_in_the_page_and_the_last_line_names_them() -> None:
-    blocks = [Heading("Part"), Finding((Heading("Inner", 3), data_table(1, 500))), said("last words")]
+    blocks = [Heading("Part"), Framed((Heading("Inner", 3), data_table(1, 500))), said("last words")]
     heading, finding, last, data, named = on_paper(blocks)
-    assert (heading, finding, last) == (Heading("Part"), Finding((Heading("Inner", 3),)), said("last words"))
+    assert (heading, finding, last) == (Heading("Part"), Framed((Heading("Inner", 3),)), said("last words"))
     assert data == Heading("Data")
     assert "Inner: data, 500 rows" in named.text  # type: ignore[union-attr]
 

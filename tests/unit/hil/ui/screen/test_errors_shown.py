@@ -15,13 +15,13 @@ from hil.app.panel.frame import Page, draw_page
 from hil.axis.axis_file import load_axis
 from hil.backlash import page as backlash
 from hil.calibration import page as calibrate
-from hil.desk.control import SILENT_S, Control
+from hil.desk.control import SILENT_S, DeskControl
 from hil.desk.desk import Desk
 from hil.diagnosis.loop import page as close_loop
 from hil.lost_motion.circle import page as circle
 from hil.parameters import page as parameters
 from hil.parameters.job import LARGEST_BYTES
-from hil.ui.screen.pieces import Reading
+from hil.ui.screen.pieces import FolderContents
 from hil.ui.screen.texts import Texts
 from hil.ui.screen.view import View
 
@@ -36,7 +36,7 @@ def draw_circle(view: View) -> None:
 
 
 def draw_loop(view: View) -> None:
-    close_loop.draw_loop(view, cast(Any, view.desk.axis), Reading(view, lambda: cast(Any, None)))
+    close_loop.draw_loop(view, cast(Any, view.desk.axis), FolderContents(view, lambda: cast(Any, None)))
 
 
 @pytest.mark.parametrize(
@@ -82,7 +82,7 @@ def test_a_folder_that_cannot_be_read_is_told_once(desk: Desk) -> None:
         raise ValueError("no such thing was ever written here")
 
     async def work() -> None:
-        screen = Screen(desk, lambda view: Reading(view, read))
+        screen = Screen(desk, lambda view: FolderContents(view, read))
         for _ in range(3):
             await screen.refreshes()
         (told,) = screen.told()
@@ -162,7 +162,7 @@ def test_a_page_without_its_browser_is_no_sign_of_life(desk: Desk) -> None:
     now_s = [0.0]
 
     async def work() -> None:
-        desk.control = Control(lambda: now_s[0])
+        desk.control = DeskControl(lambda: now_s[0])
         screen = Screen(desk, draw_frame, token=desk.control.take("test"))
         for tab, silent_s in ((None, SILENT_S), ("a tab", 0.0)):
             screen.client.tab_id = tab

@@ -23,7 +23,7 @@ from hil.diagnosis.loop.job import loop_job
 from hil.diagnosis.loop.procedure import Turning
 from hil.lost_motion import job as lost_motion
 from hil.lost_motion import page as lost_motion_page
-from hil.ui.screen.pieces import Reading
+from hil.ui.screen.pieces import FolderContents
 from hil.ui.screen.plan_question import plan_question
 from hil.ui.screen.view import View
 
@@ -48,7 +48,7 @@ class Answered(Screen):
 
 
 def draw_loop(view: View) -> None:
-    loop_page.draw_loop(view, cast(Any, view.desk.axis), Reading(view, lambda: cast(Any, None)))
+    loop_page.draw_loop(view, cast(Any, view.desk.axis), FolderContents(view, lambda: cast(Any, None)))
 
 
 def test_a_new_zero_is_asked_for_by_a_switch_named_in_the_question_and_switched_off_again(
