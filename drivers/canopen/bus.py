@@ -54,6 +54,23 @@ FOLLOW_S = 0.0005
 _SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
 
+class _Turn:
+    """One thread's turn to dispatch, if it comes within a time, s. A class, as a signal is handled between a call of `acquire` and a
+    `try` after it, but not in `__enter__`."""
+
+    def __init__(self, lock: threading.RLock, within_s: float) -> None:
+        self._lock, self._within_s = lock, within_s
+        self._taken = False
+
+    def __enter__(self) -> bool:
+        self._taken = self._lock.acquire(timeout=self._within_s)
+        return self._taken
+
+    def __exit__(self, *exc_info: object) -> None:
+        if self._taken:
+            self._lock.release()
+
+
 def _selectable(bus: can.BusABC) -> bool:
     """Whether the interface has a descriptor, which shows that something waits."""
     try:
@@ -234,10 +251,8 @@ class CanLink:
     def poll(self) -> None:
         """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Nothing while another thread dispatches.
         Raises LinkLostError."""
-        if not self._dispatching.acquire(False):
-            return
-        try:
-            if not self._received():
+        with _Turn(self._dispatching, 0.0) as mine:
+            if not mine or not self._received():
                 return  # as in nearly every cycle of a stream
             over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
             while not over.expired:
@@ -246,8 +261,6 @@ class CanLink:
                     heard = self.clock.deadline(IO_SLICE_S)
                 if not self._received():
                     return
-        finally:
-            self._dispatching.release()
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Dispatch frames until `done()`, or let another thread that waits; False when it did not come true within `timeout_s` seconds
@@ -257,25 +270,28 @@ class CanLink:
         """
         if done():
             return True
-        listening, received = Listening(timeout_s, self.clock.now_ns), True
-        while not self._dispatching.acquire(True, FOLLOW_S):
-            if done():
-                return True
+        listening = Listening(timeout_s, self.clock.now_ns)
+        while True:
+            with _Turn(self._dispatching, FOLLOW_S) as mine:
+                if done():  # the thread before may have dispatched it
+                    return True
+                if mine:
+                    return self._dispatch_until(done, listening)
             if not listening.next_slice_s():
                 return False
             self.clock.check_interrupt()
-        try:
-            while slice_s := listening.next_slice_s(in_vain=not received):
-                received = self._receive(slice_s)
-                if done():
-                    return True
-                if not received or self._taken_ns - self._checked_ns >= _SLICE_NS:
-                    self._checked_ns = self.clock.now_ns()
-                    self.clock.check_interrupt()
-            self.poll()  # frames that came in time may be in the receive buffer
-            return done()
-        finally:
-            self._dispatching.release()
+
+    def _dispatch_until(self, done: Callable[[], bool], listening: Listening) -> bool:
+        received = True
+        while slice_s := listening.next_slice_s(in_vain=not received):
+            received = self._receive(slice_s)
+            if done():
+                return True
+            if not received or self._taken_ns - self._checked_ns >= _SLICE_NS:
+                self._checked_ns = self.clock.now_ns()
+                self.clock.check_interrupt()
+        self.poll()  # frames that came in time may be in the receive buffer
+        return done()
 
     def _received(self) -> bool:
         """Dispatch a frame that has arrived; False when nothing waits. Raises LinkLostError.

@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import math
 import operator
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
@@ -199,6 +200,9 @@ class SdoClient:
         self.way_out = way_out
         self._silent = False  # the last request was not answered
         self._running: Running[Any] | None = None
+        self._stepping = (
+            threading.RLock()
+        )  # the thread of a transfer begins and ends it, another one may dispatch its answers
         self._abandoned: Conversation | None = None  # until the channel has been quiet after it
         self._late_ns: list[int] = []  # times of frames that may belong to it
         self._late: Callable[[bytes], None] | None = None
@@ -464,32 +468,35 @@ class SdoClient:
                 f"{self.name}: SDO {running.talk.place()} was not tried: the drive has ceased to answer"
             )
         self.link.poll()  # frames in the queue were sent before this request
-        self._running = running
         self.counters.transfers += 1
-        try:
-            running.start()
-        except BaseException:
-            self._running = None  # nothing was sent: the channel is free for what still works
-            raise
+        with self._stepping:
+            self._running = running
+            try:
+                running.start()
+            except BaseException:
+                self._running = None  # nothing was sent: the channel is free for what still works
+                raise
 
     def end(self) -> None:
         """Release the channel and account for the outcome."""
-        running = self._running
-        self._running = None
-        if running is None:
-            return
-        self._silent = not running.finished
-        if self._silent and self.way_out is not None:
-            self.way_out.unanswered((running.until_ns - running.began_ns) / NS_PER_S)
-        if not running.finished:
-            self.counters.timeouts += 1
-            self._abandoned = running.talk
-            running.abandon()
+        with self._stepping:
+            running = self._running
+            self._running = None
+            if running is None:
+                return
+            self._silent = not running.finished
+            if self._silent and self.way_out is not None:
+                self.way_out.unanswered((running.until_ns - running.began_ns) / NS_PER_S)
+            if not running.finished:
+                self.counters.timeouts += 1
+                self._abandoned = running.talk
+                running.abandon()
 
     def _on_frame(self, time_ns: int, data: bytes) -> None:
-        if self._running is not None and not self._running.finished:
-            self._running.on_frame(time_ns, data)
-            return
+        with self._stepping:
+            if self._running is not None and not self._running.finished:
+                self._running.on_frame(time_ns, data)
+                return
         if self._abandoned is not None and self._abandoned.may_answer(data):
             self._late_ns.append(time_ns)
         if self._late is not None:

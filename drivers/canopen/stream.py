@@ -254,7 +254,13 @@ class CyclicStream(SetPointStream):
                 axis.plan(place_mm)
             self._exchange()
             self.cycles += 1
-            if not self.link.wait(self._all_answered, self._feedback_s):
+            answered = self.link.wait(self._all_answered, self._feedback_s)
+            if len(self._foreign) > FOREIGN_SYNCS:
+                raise SafetyError(
+                    f"stream: a second SYNC producer is on the bus: {len(self._foreign)} SYNCs within {FOREIGN_SYNC_S:g} s were not"
+                    " ours"
+                )
+            if not answered:
                 self._account_for_late()
             if self.cycles % self._watch_every == 0:
                 for axis in axes:
@@ -312,18 +318,13 @@ class CyclicStream(SetPointStream):
                 raise axis.explain_status()
 
     def _on_sync(self, time_ns: int, _data: bytes) -> None:
-        """Account for a SYNC that is not the owner's; a program that only samples stops sending them when it hears ours.
-
-        Raises SafetyError above `FOREIGN_SYNCS`."""
-        if not self._running:
+        """Account for a SYNC that is not the owner's; a program that only samples stops sending them when it hears ours. Above
+        `FOREIGN_SYNCS` the cycle ends the stream: this may run in another thread, which dispatches."""
+        if not self._running or len(self._foreign) > FOREIGN_SYNCS:
             return
         self.foreign_syncs += 1
         self._foreign.append(time_ns)
         self._foreign = [heard_ns for heard_ns in self._foreign if time_ns - heard_ns <= FOREIGN_SYNC_S * NS_PER_S]
-        if len(self._foreign) > FOREIGN_SYNCS:
-            raise SafetyError(
-                f"stream: a second SYNC producer is on the bus: {len(self._foreign)} SYNCs within {FOREIGN_SYNC_S:g} s were not ours"
-            )
 
     def _all_answered(self) -> bool:
         for axis in self._last_first:  # noqa: SIM110 - each cycle comes here, a generator would cost as much as a frame

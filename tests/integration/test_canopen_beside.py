@@ -8,10 +8,11 @@ import sys
 import threading
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, redirect_stdout
+from contextlib import ExitStack, contextmanager, redirect_stdout
 from pathlib import Path
 from unittest.mock import patch
 
+import can
 import canopen
 import pytest
 from support import their_canopen
@@ -28,7 +29,7 @@ from drivers.canopen.sdo import SdoClient
 from drivers.canopen.stream import CyclicStream
 from drivers.clock import WallClock
 from drivers.drive import DriveState
-from drivers.errors import InputError, NoAnswerError, StateError
+from drivers.errors import BridgeError, InputError, NoAnswerError, SafetyError, StateError
 from drivers.scaling import AxisScaling
 from drivers.set_points import SetPointSettings
 from sim_backends.bare_shaft import SMALL_SERVO, BareShaft
@@ -319,8 +320,9 @@ def test_a_second_thread_reads_while_the_first_one_moves() -> None:
         assert drive.sdo.counters.timeouts == 0
 
 
-@pytest.mark.outside
-def test_a_stream_goes_on_while_a_second_thread_waits_for_an_answer_that_does_not_come() -> None:
+@contextmanager
+def streaming_beside(asked_s: float) -> Iterator[tuple[CyclicStream, threading.Thread, list[BaseException], str]]:
+    """A stream of 20 ms, a thread that asks an absent node for so long, what it was told, and the channel."""
     channel = uuid.uuid4().hex
     servo = SimulatedServo(BareShaft(), SMALL_SERVO)
     with ExitStack() as stack:
@@ -329,26 +331,48 @@ def test_a_stream_goes_on_while_a_second_thread_waits_for_an_answer_that_does_no
         drive = CanOpenDrive("X", SCALING, LIMITS, link.clock, link=link, node_id=NODE, settings=SETTINGS)
         stack.enter_context(drive)
         drive.enable()
-        absent, unanswered = SdoClient(link, NODE + 1, "absent", timeout_s=1.0), list[BaseException]()
+        absent, told = SdoClient(link, NODE + 1, "absent", timeout_s=asked_s), list[BaseException]()
 
         def asking() -> None:
             try:
                 absent.read_bytes(0x1000, 0)
-            except NoAnswerError as error:
-                unanswered.append(error)
+            except BridgeError as error:
+                told.append(error)
 
         thread = threading.Thread(target=asking)
-        settings, late_ms = SetPointSettings(0.02, missed_limit=1000), []
-        with CyclicStream([drive], settings) as stream:
+        stack.callback(thread.join)
+        with CyclicStream([drive], SetPointSettings(0.02, missed_limit=1000)) as stream:
             thread.start()
-            while thread.is_alive():
-                stream.cycle([0.0])
-                late_ms.append((link.clock.now_ns() - stream.reached_ns) / 1e6 + 20.0)  # after the SYNC of this cycle
+            yield stream, thread, told, channel
+
+
+@pytest.mark.outside
+def test_a_stream_goes_on_while_a_second_thread_waits_for_an_answer_that_does_not_come() -> None:
+    late_ms = []
+    with streaming_beside(1.0) as (stream, thread, told, _channel):
+        while thread.is_alive():
+            stream.cycle([0.0])
+            late_ms.append((stream.clock.now_ns() - stream.reached_ns) / 1e6 + 20.0)  # after the SYNC of this cycle
+    assert [type(error) for error in told] == [NoAnswerError]
+    print(f"longest cycle: {max(late_ms):.1f} ms after its SYNC")
+    assert len(late_ms) > 50
+    assert max(late_ms) < 200.0
+
+
+@pytest.mark.outside
+def test_a_second_producer_of_sync_ends_the_stream_whichever_thread_hears_it() -> None:
+    with streaming_beside(1.0) as (stream, thread, told, channel):
+        with can.Bus(interface="virtual", channel=channel) as other:
+
+            def cycles() -> None:
+                for _ in range(50):
+                    other.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+                    stream.cycle([0.0])
+
+            with pytest.raises(SafetyError, match="a second SYNC producer is on the bus"):
+                cycles()
         thread.join()
-        assert len(unanswered) == 1
-        print(f"longest cycle: {max(late_ms):.1f} ms after its SYNC")
-        assert len(late_ms) > 50
-        assert max(late_ms) < 200.0
+        assert [type(error) for error in told] == [NoAnswerError]
 
 
 def test_a_network_that_is_not_connected_is_no_bus() -> None:

@@ -110,7 +110,7 @@ def test_a_host_that_does_not_read_loses_whole_lines_and_blocks_nobody(device: S
         device.recv(0.01)
     lines = [line for line in text.split(b"\r") if line.startswith(b"t")]
     assert [int(line[5:], 16) for line in lines] == list(range(len(lines)))
-    assert len(lines) > 100
+    assert 100 < len(lines) < 8000
 
 
 def test_python_cans_host_and_the_device_understand_each_other(device: SlcanDevice) -> None:

@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 import time
 import tty
 import uuid
@@ -360,3 +361,39 @@ def test_the_operator_is_heard_while_frames_without_end_are_polled() -> None:
         link.poll()
     assert clock.now_ns() <= 1.1 * IO_SLICE_S * 1e9
     link.close()
+
+
+def test_a_thread_whose_frame_another_one_dispatched_returns_with_it() -> None:
+    """Both wait, and the frame of the one that does not dispatch comes first: it does not listen for a further one."""
+    channel, after_ms = uuid.uuid4().hex, []
+    with (
+        CanLink.open(WallClock(), interface="virtual", channel=channel) as link,
+        can.Bus(interface="virtual", channel=channel) as other,
+    ):
+        heard = dict.fromkeys((0x181, 0x182), 0)
+        for cob_id in heard:
+            link.subscribe(cob_id, lambda time_ns, _data, cob_id=cob_id: heard.__setitem__(cob_id, time_ns))  # type: ignore[misc]
+
+        def waits(cob_id: int, looks: threading.Semaphore) -> None:
+            def done() -> bool:
+                looks.release()
+                return heard[cob_id] > 0
+
+            assert link.wait(done, 5.0)
+            if cob_id == 0x181:
+                after_ms.append((link.clock.now_ns() - heard[cob_id]) / 1e6)
+
+        for _ in range(10):
+            heard.update(dict.fromkeys(heard, 0))
+            threads = []
+            for cob_id in (0x182, 0x181):  # the first one dispatches
+                looks = threading.Semaphore(0)
+                threads.append(threading.Thread(target=waits, args=(cob_id, looks)))
+                threads[-1].start()
+                for _ in range(2):  # before its turn, and in it or instead of it
+                    assert looks.acquire(timeout=5.0)
+            for cob_id in (0x181, 0x182):
+                other.send(can.Message(arbitration_id=cob_id, is_extended_id=False))
+            for thread in threads:
+                thread.join()
+    assert min(after_ms) < 3.0  # it listened for 5 ms

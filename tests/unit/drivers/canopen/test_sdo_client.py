@@ -1,6 +1,9 @@
 """The guarded SDO client against the simulated drive, in simulated time: late, lost, foreign and refused answers."""
 
+import sys
+import threading
 from collections.abc import Callable, Iterator
+from typing import Self
 
 import pytest
 from hypothesis import given, settings
@@ -9,10 +12,12 @@ from support.can_bench import CanBench
 
 from drivers.canopen import cia301
 from drivers.canopen.bus import CanLink
-from drivers.canopen.sdo import SdoClient
+from drivers.canopen.sdo import Running, SdoClient
+from drivers.canopen.sdo_transfer import Conversation, upload
 from drivers.canopen.side_by_side import CanLine
 from drivers.cia402 import objects
 from drivers.cia402.objects import DataType, Entry
+from drivers.clock import WallClock
 from drivers.errors import AbortError, InputError, NoAnswerError, ProtocolError, StateError
 from sim_backends.canopen_faults import CanFault
 from sim_backends.faults import CanFaultKind
@@ -149,7 +154,10 @@ def test_a_late_answer_never_confirms_the_next_write(late_s: float) -> None:
 
 def test_an_answer_with_a_foreign_index_is_ignored() -> None:
     desk = _desk(CanFault(CanFaultKind.SDO_WRONG_INDEX, count=1))
+    answered: list[bytes] = []
+    desk.link.watch(lambda _time_ns, _cob_id, data: answered.append(data[1:3]))
     assert desk.sdo.read(cia301.DEVICE_TYPE) == 0x20192
+    assert len(set(answered)) == 2
     desk.close()
 
 
@@ -293,3 +301,54 @@ def test_one_channel_carries_one_transfer() -> None:
         assert isinstance(second, StateError)
         assert "already in use" in str(second)
         assert client.read(cia301.DEVICE_TYPE) == 0x20192
+
+
+class OtherThread:
+    """A link whose frames another thread dispatches: those of an answer, endlessly."""
+
+    def __init__(self) -> None:
+        self.clock = WallClock()
+        self._handler: Callable[[int, bytes], None] = lambda _time_ns, _data: None
+        self._ended = threading.Event()
+        self.errors: list[BaseException] = []
+        self._thread = threading.Thread(target=self._dispatch)
+
+    def subscribe(self, _cob_id: int, handler: Callable[[int, bytes], None]) -> None:
+        self._handler = handler
+
+    def send(self, _cob_id: int, _data: bytes) -> None:
+        """Nobody hears it."""
+
+    def poll(self) -> None:
+        """Nothing while another thread dispatches."""
+
+    def _dispatch(self) -> None:
+        while not self._ended.is_set() and not self.errors:
+            try:
+                self._handler(self.clock.now_ns(), bytes([0x43, 0, 0x10, 0, 1, 0, 0, 0]))
+            except Exception as error:  # noqa: BLE001 - whatever it is, the thread that dispatches would end by it
+                self.errors.append(error)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exc_info: object) -> None:
+        self._ended.set()
+        self._thread.join()
+
+
+def test_answers_that_another_thread_dispatches_meet_no_transfer_half_begun_or_half_ended() -> None:
+    usual_s = sys.getswitchinterval()
+    link = OtherThread()
+    client = SdoClient(link, NODE, "drive X")  # type: ignore[arg-type]
+    sys.setswitchinterval(1e-6)
+    try:
+        with link:
+            for _ in range(5000):
+                talk = Conversation(0x1000, 0)
+                client.begin(Running(client, talk, upload(talk, 4)))
+                client.end()
+    finally:
+        sys.setswitchinterval(usual_s)
+    assert link.errors == []

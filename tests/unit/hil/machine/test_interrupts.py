@@ -216,3 +216,27 @@ def test_a_signal_that_the_shell_set_to_be_ignored_stays_so() -> None:
         program.asked()
         program.says(b"way out")
         assert ENDED not in program.ended()[2]
+
+
+LINK = """
+import os, signal, threading
+from drivers.canopen.bus import CanLink
+from drivers.clock import WallClock
+from hil.machine.interrupts import ending_by_signals
+
+link, held = CanLink.open(WallClock(), interface="virtual", channel="interrupts"), 0
+for i in range(400):
+    try:
+        with ending_by_signals():
+            threading.Timer(0.0005 + 0.000003 * i, os.kill, (os.getpid(), signal.SIGINT)).start()
+            while True:
+                link.poll() if i % 2 else link.wait(lambda: False, 0.0)
+    except KeyboardInterrupt:
+        held += link._dispatching._is_owned()
+print(held)
+"""
+
+
+def test_no_interrupt_leaves_the_turn_to_dispatch_can_frames_taken() -> None:
+    run = subprocess.run([sys.executable, "-c", LINK], capture_output=True, text=True, timeout=60, check=True)
+    assert run.stdout == "0\n"
