@@ -61,7 +61,7 @@ UNCERTAINTY = """
 device_um = 0.1                      # the instrument's certificate: U = device_um + device_um_per_m · length
 device_um_per_m = 0.5
 misalignment_mm = 0.5                # lateral range of the beam over the travel
-temperature_range_c = 0.5            # range of the measured temperature
+temperature_range_c = 0.5            # range of the measured temperature's error
 expansion_range_um_per_m_c = 1.0     # range of the expansion of the machine's scale
 variation_um = 0.5                   # range of a drift test as long as a campaign
 """
