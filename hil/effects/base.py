@@ -235,8 +235,8 @@ class Effect(ABC):
 
     @abstractmethod
     def parameters(self, term: Term) -> dict[str, Estimate]:
-        """The fitted parameters by their usual names, unit as the end of the name, each with its standard
-        uncertainty.
+        """The fitted parameters by their usual names, unit as the end of the name, each with its standard uncertainty. A certificate
+        leaves out those of a user's effect whose names end in no unit that it knows.
         """
 
     @abstractmethod

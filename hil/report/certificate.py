@@ -291,9 +291,7 @@ def loop(common: Common, before: NamedCampaign, after: NamedCampaign, diagnosis:
         effect = str(finding.get("effect"))
         for name, form in object_of(finding.get("parameters")).items():
             value, std = value_of(form, "value"), value_of(form, "std")
-            unit = with_unit(name)[1] or (
-                "1" if effect in known else ""
-            )  # a user's effect may name a unit that is not in UNITS
+            unit = with_unit(name)[1] or ("1" if effect in known else "")  # of a user's effect not known: left out
             if value is not None and unit:
                 stated.append(
                     Stated(f"{effect} {name}", f"parameter of {effect}", value, unit, 2 * std if std else None)
