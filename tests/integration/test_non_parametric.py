@@ -92,7 +92,7 @@ def test_it_is_refused_in_one_line_and_nothing_is_written(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, words: str
 ) -> None:
     out = tmp_path / "extended.json"
-    measured = written(tmp_path / "a.csv", kind, 13)
+    measured = written(tmp_path / "a.csv", kind, 12)
     assert main(["diagnose", measured, "--out", str(out), "--non-parametric"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
