@@ -69,12 +69,6 @@ class Recording:
             raise InputError(f"recording has no column {name}; it has {', '.join(self.columns)}")
         return self.columns[name]
 
-    @property
-    def duration_s(self) -> float:
-        """Time from the first to the last row, s."""
-        times = self.columns["time_s"]
-        return times[-1] - times[0]
-
 
 def _lines(file: io.BufferedReader) -> Iterator[str]:
     """The lines, unpacked one after the other. Raises InputError for a text or a line that is too long."""
