@@ -322,7 +322,9 @@ def test_a_damaged_reply_on_a_serial_line_costs_one_request_that_is_repeated_or_
         seen.frames.clear()
         with rtu_peer(peer, seen) as endpoint, linked(endpoint) as link:
             assert order(link)
-            assert 1 < len(seen.frames) <= 3  # the first reply was not taken: one register to settle the line, and once more
+            assert (
+                1 < len(seen.frames) <= 3
+            )  # the first reply was not taken: one register to settle the line, and once more
         assert sum(frame.pdu[0] == 16 for _, frame in seen.frames) <= 1  # a write is sent once
 
 
