@@ -1,8 +1,8 @@
 """What each part of the model and each number of its policy moves: verdicts on tuning machines without the part, or with the number
 changed, beside those as it stands.
 
-`python tests/study/grammar/ablation.py OUT.jsonl --machines 6` goes on where OUT ends and prints the table; `--only` names some,
-`--together "rows in cycles + largest 1e9"` changes all of these at once.
+`python tests/study/grammar/ablation.py OUT.jsonl --machines 6` goes on where OUT ends and prints the table; `--page` writes it to
+ablation.md, `--only` names some, `--together "richer forms + largest 1e9"` changes all of these at once.
 """
 
 from __future__ import annotations
@@ -37,23 +37,23 @@ from hil.diagnosis.model.search import Search
 FACTORS = (0.5, 2.0)
 PARTS: Mapping[str, tuple[Any, str, Any]] = {
     "rivals by physics": (verdict, "not_told_apart", lambda *_: {}),
-    "unlogged": (verdict, "unlogged", lambda *_: ()),
-    "rows in cycles": (Remainder, "_of_rows", lambda *_: ()),
+    "unlogged causes": (verdict, "unlogged", lambda *_: ()),
+    "one run, or row in n": (Remainder, "_of_rows", lambda *_: ()),
     "states in time": (Remainder, "_in_time", lambda *_: ()),
     "waves along the travel": (Remainder, "_along", lambda *_: ()),
-    "effects instead": (Search, "_effects_instead", lambda *_: None),
-    "few rows": (Search, "rests_on_few", lambda *_: False),
-    "ranges": (Search, "_against", lambda *_: 0.0),
+    "effects for a remainder": (Search, "_effects_instead", lambda *_: None),
+    "refusal of few rows": (Search, "rests_on_few", lambda *_: False),
+    "physical ranges": (Search, "_against", lambda *_: 0.0),
     "usual offsets": (Noise, "has_large_offsets", False),
-    "refined": (Catalogue, "refined", lambda _, ranked: ranked),
+    "refined parameters": (Catalogue, "refined", lambda _, ranked: ranked),
     "richer forms": (Catalogue, "richer", lambda *_: ()),
-    "relay": (verdict.Verdict, "_switched", lambda *_: False),
-    "suspected": (Case, "_suspected", lambda case: case._nothing()),
-    "bounded": (Case, "_bounded", lambda _, live: dict(live)),
-    "absorbed": (Catalogue, "_ways", lambda *_: (False,)),
-    "between rows": (Catalogue, "between_rows", lambda *_: 1.0),
+    "relay as a rival": (verdict.Verdict, "_switched", lambda *_: ""),
+    "suspected cause": (Case, "_suspected", lambda case: case._nothing()),
+    "bounded temperature": (Case, "_bounded", lambda _, live: dict(live)),
+    "what a table absorbed": (Catalogue, "_ways", lambda *_: (False,)),
+    "size between the rows": (Catalogue, "between_rows", lambda *_: 1.0),
     "memory of noise": (evidence, "MEMORIES", (NO_MEMORY,)),
-    "gain": (Case, "_with_gain", lambda _, taken: taken),
+    "required gain": (Case, "_with_gain", lambda _, taken: taken),
 }
 """Parts that can be left out, and what stands in their place."""
 
@@ -131,29 +131,59 @@ def _said(one: Outcome) -> object:
     return said["unexplained"], [(effect, confidence > 0.9) for effect, confidence, _ in said["findings"]]
 
 
-def table(lines: Sequence[Outcome], changed: Sequence[str]) -> None:
-    """Of each variant: machines, verdicts that change, right and wrong ones, and the fresh errors that change by 2 %."""
+def summary(lines: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Of each variant beside the model as it stands: machines, those on which anything is said otherwise, verdicts that change, right
+    and wrong ones more, fresh errors less and more by 2 %.
+    """
     by_variant: dict[str, dict[tuple[str, int], Outcome]] = {}
     for one in lines:
         if "error" not in one:
             by_variant.setdefault(one["variant"], {})[one["lot"], one["seed"]] = one
-    usual = by_variant.get("", {})
-    print(f"as it stands: {len(usual)} machines, right {sum(map(asked, usual.values()))}")
-    print(
-        "| without, or number × | machines | verdicts changed | right | wrong above 0.9 | fresh better, worse by 2 % | seconds |"
-    )
-    print("|---|---:|---:|---:|---:|---:|---:|")
-    for variant in changed:
-        pairs = [(usual[key], one) for key, one in by_variant.get(variant, {}).items() if key in usual]
-        if not pairs:
-            continue
-        other = sum(_said(a) != _said(b) for a, b in pairs)
-        right = sum(int(asked(b)) - int(asked(a)) for a, b in pairs)
-        wrong = sum(bool(b["confident_wrong"]) - bool(a["confident_wrong"]) for a, b in pairs)
-        better = sum(b["fresh_um"] < 0.98 * a["fresh_um"] for a, b in pairs)
-        worse = sum(b["fresh_um"] > 1.02 * a["fresh_um"] for a, b in pairs)
-        seconds = sum(b["said"]["seconds"] for _, b in pairs) / sum(a["said"]["seconds"] for a, _ in pairs)
-        print(f"| {variant} | {len(pairs)} | {other} | {right:+d} | {wrong:+d} | {better}, {worse} | × {seconds:.2f} |")
+    usual = by_variant.pop("", {})
+    found = []
+    for variant, own in by_variant.items():
+        pairs = [(usual[key], one) for key, one in own.items() if key in usual]
+        found.append(
+            {
+                "variant": variant,
+                "machines": len(pairs),
+                "moved": sum(_all(a) != _all(b) for a, b in pairs),
+                "verdicts": sum(_said(a) != _said(b) for a, b in pairs),
+                "right": sum(int(asked(b)) - int(asked(a)) for a, b in pairs),
+                "wrong": sum(bool(b["confident_wrong"]) - bool(a["confident_wrong"]) for a, b in pairs),
+                "better": sum(b["fresh_um"] < 0.98 * a["fresh_um"] for a, b in pairs),
+                "worse": sum(b["fresh_um"] > 1.02 * a["fresh_um"] for a, b in pairs),
+            }
+        )
+    return found
+
+
+def _all(one: Outcome) -> object:
+    told = {name: value for name, value in one["said"].items() if name != "seconds"}
+    return told, one["fresh_um"]
+
+
+PAGE = Path(__file__).parent / "ablation.md"
+HEAD = """# What each part of the model and each number moves
+
+Tuning machines, judged without a part of [the model](../../../hil/docs/model.md), or with a number halved or doubled.
+Moved: anything is said otherwise.
+Right, wrong: so many machines more. Fresh: 2 % less or more is left on fresh rows.
+`python tests/study/grammar/ablation.py OUT.jsonl --first 700 --machines 20 --page` writes this.
+"""
+
+
+HEADS = ("without, or number ×", "machines", "moved", "verdicts", "right", "wrong", "fresh better", "worse")
+
+
+def moved(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """The table of what each part and each number moves."""
+    lines = [f"| {' | '.join(HEADS)} |", "|---|" + "---:|" * (len(HEADS) - 1)]
+    for one in rows:
+        signed = (f"{one['right']:+d}", f"{one['wrong']:+d}")
+        cells = (one["variant"], one["machines"], one["moved"], one["verdicts"], *signed, one["better"], one["worse"])
+        lines.append(f"| {' | '.join(map(str, cells))} |")
+    return lines
 
 
 def main(words: Sequence[str] | None = None) -> int:
@@ -163,6 +193,7 @@ def main(words: Sequence[str] | None = None) -> int:
     parser.add_argument("--machines", type=int, default=6)
     parser.add_argument("--lot", action="append", choices=LOTS)
     parser.add_argument("--only", action="append", default=[], help="a part or a number")
+    parser.add_argument("--page", action="store_true", help="write the table to ablation.md")
     parser.add_argument("--together", default="", help="parts and numbers with their factors, joined by +")
     args = parser.parse_args(words)
     trials = variants(args.only, args.together)
@@ -172,17 +203,20 @@ def main(words: Sequence[str] | None = None) -> int:
         for lot in args.lot or LOTS:
             if all((lot, seed, variant) in done for variant in trials):
                 continue
-            with watched() as moved:
+            with watched() as acted:
                 usual = compact(judged(lot, seed, ""))
             for variant in trials:
                 if (lot, seed, variant) in done:
                     continue
-                is_moved = variant not in PARTS or variant in moved
+                is_moved = variant not in PARTS or variant in acted
                 found = (compact(judged(lot, seed, variant)) if variant and is_moved else usual) | {"variant": variant}
                 with args.out.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(found) + "\n")
                 lines.append(found)
-    table(lines, trials[1:])
+    found = summary(lines)
+    print("\n".join(moved(found)))
+    if args.page:
+        PAGE.write_text("\n".join([HEAD, *moved(found), ""]), encoding="utf-8")
     return 0
 
 
