@@ -1,4 +1,4 @@
-"""The rows of a campaign as the model has them: errors, columns of the table and of the runs' offsets, noise by row, and whitening."""
+"""The rows of a campaign as the model has them: errors, columns of the table and of the runs' offsets, and whitening."""
 
 from __future__ import annotations
 

@@ -169,7 +169,7 @@ HEAD = """# What each part of the model and each number moves
 Tuning machines, judged without a part of [the model](../../../hil/docs/model.md), or with a number halved or doubled.
 Moved: anything is said otherwise.
 Right, wrong: so many machines more. Fresh: 2 % less or more is left on fresh rows.
-`python tests/study/grammar/ablation.py OUT.jsonl --first 700 --machines 20 --page` writes this.
+`python tests/study/grammar/ablation.py OUT.jsonl --first 700 --machines 20 --page` writes this of the machines that OUT has.
 """
 
 
