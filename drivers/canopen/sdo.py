@@ -200,9 +200,7 @@ class SdoClient:
         self.way_out = way_out
         self._silent = False  # the last request was not answered
         self._running: Running[Any] | None = None
-        self._stepping = (
-            threading.RLock()
-        )  # the thread of a transfer begins and ends it, another one may dispatch its answers
+        self._stepping = threading.RLock()  # one thread begins and ends a transfer, another may dispatch its answers
         self._abandoned: Conversation | None = None  # until the channel has been quiet after it
         self._late_ns: list[int] = []  # times of frames that may belong to it
         self._late: Callable[[bytes], None] | None = None
