@@ -54,21 +54,24 @@ FOLLOW_S = 0.0005
 _SLICE_NS = round(IO_SLICE_S * NS_PER_S)
 
 
+class _BusyError(Exception):
+    """Another thread dispatches."""
+
+
 class _Turn:
-    """One thread's turn to dispatch, if it comes within a time, s. A class, as a signal is handled between a call of `acquire` and a
-    `try` after it, but not in `__enter__`."""
+    """A thread's turn to dispatch, which comes within a time, s, or `_BusyError` is raised. A class, as a signal is handled
+    between a call of `acquire` and a `try` after it, but not in `__enter__`; without a state, as every cycle of a stream takes two.
+    """
 
     def __init__(self, lock: threading.RLock, within_s: float) -> None:
         self._lock, self._within_s = lock, within_s
-        self._taken = False
 
-    def __enter__(self) -> bool:
-        self._taken = self._lock.acquire(timeout=self._within_s)
-        return self._taken
+    def __enter__(self) -> None:
+        if not self._lock.acquire(True, self._within_s):
+            raise _BusyError
 
     def __exit__(self, *exc_info: object) -> None:
-        if self._taken:
-            self._lock.release()
+        self._lock.release()
 
 
 def _selectable(bus: can.BusABC) -> bool:
@@ -98,6 +101,7 @@ class CanLink:
         self._any: tuple[Callable[[int, int, bytes], None], ...] = ()
         self._subscribing = threading.Lock()
         self._dispatching = threading.RLock()
+        self._turn_now, self._turn_soon = _Turn(self._dispatching, 0.0), _Turn(self._dispatching, FOLLOW_S)
         self.talking = threading.RLock()
         """Held during an SDO access: threads that share the link take turns."""
         self._closed = False
@@ -251,16 +255,19 @@ class CanLink:
     def poll(self) -> None:
         """Dispatch what has arrived, without waiting; on a flooded bus for `POLL_S` at most. Nothing while another thread dispatches.
         Raises LinkLostError."""
-        with _Turn(self._dispatching, 0.0) as mine:
-            if not mine or not self._received():
-                return  # as in nearly every cycle of a stream
-            over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
-            while not over.expired:
-                if heard.expired:
-                    self.clock.check_interrupt()
-                    heard = self.clock.deadline(IO_SLICE_S)
+        try:
+            with self._turn_now:
                 if not self._received():
-                    return
+                    return  # as in nearly every cycle of a stream
+                over, heard = self.clock.deadline(POLL_S), self.clock.deadline(IO_SLICE_S)
+                while not over.expired:
+                    if heard.expired:
+                        self.clock.check_interrupt()
+                        heard = self.clock.deadline(IO_SLICE_S)
+                    if not self._received():
+                        return
+        except _BusyError:
+            return
 
     def wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         """Dispatch frames until `done()`, or let another thread that waits; False when it did not come true within `timeout_s` seconds
@@ -272,14 +279,15 @@ class CanLink:
             return True
         listening = Listening(timeout_s, self.clock.now_ns)
         while True:
-            with _Turn(self._dispatching, FOLLOW_S) as mine:
-                if done():  # the thread before may have dispatched it
+            try:
+                with self._turn_soon:  # the thread before may have dispatched it
+                    return done() or self._dispatch_until(done, listening)
+            except _BusyError:
+                if done():
                     return True
-                if mine:
-                    return self._dispatch_until(done, listening)
-            if not listening.next_slice_s():
-                return False
-            self.clock.check_interrupt()
+                if not listening.next_slice_s():
+                    return False
+                self.clock.check_interrupt()
 
     def _dispatch_until(self, done: Callable[[], bool], listening: Listening) -> bool:
         received = True
